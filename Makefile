@@ -90,16 +90,8 @@ lint: $(installed) ## Lint and format
 	@.venv/bin/ruff check --quiet .
 	@.venv/bin/ruff format --quiet --check .
 
-# mypy doesn't follow the path that groundwalk's __init__ sets, so that it gets links laid out as a wheel is. Of the
-# conftest.py files it takes no two, by that name.
 types: ## Types alone, of whatever is installed in .venv
-	@rm -rf build/types && mkdir -p build/types/groundwalk
-	@ln -s $(addprefix ../../../,$(wildcard groundwalk/*.py) $(filter-out benchmarks groundwalk,\
-		$(patsubst %/__init__.py,%,$(wildcard */__init__.py)))) build/types/groundwalk
-	@ln -s ../../benchmarks ../../tests build/types
-	@mkdir build/types/conftests && cd build/types/conftests && \
-		for file in ../../../tests/*/conftest.py; do ln -s $$file conftest_$$(basename $$(dirname $$file)).py; done
-	@cd build/types && ../../.venv/bin/mypy --config-file ../../pyproject.toml --cache-dir ../../.mypy_cache --no-error-summary
+	@.venv/bin/mypy --no-error-summary
 
 # mypy works on one core: it runs beside the tests.
 test: lint ## Checks and tests, under ten minutes on two cores

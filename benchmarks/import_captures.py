@@ -6,7 +6,6 @@ right. The formats' writers are those of the tests.
 
 import io
 import json
-import sys
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -14,8 +13,6 @@ from pathlib import Path
 import av
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "capture_import"))
 
 WIDTH, HEIGHT, FOCAL = 1920, 1440, 1450.0
 STEPS = 24

@@ -26,8 +26,8 @@ with atheris.instrument_imports(include=["capture_import"]):
     from groundwalk.capture_import.formats import FORMATS
 
     # isort: split
-    from capture_writers import WRITERS, make_walk
-    from test_import_mutations import no_longer_than, take_all
+    from tests.capture_import.capture_writers import WRITERS, make_walk
+    from tests.capture_import.test_import_mutations import no_longer_than, take_all
 
 FOUND = Path("build/fuzz")
 

@@ -8,7 +8,7 @@ import benchmarks.import_captures  # noqa: F401  (puts the tests' writers on the
 from groundwalk.geometry.poses import Array, make_pose
 
 # isort: split
-from capture_writers import Walk
+from tests.capture_import.capture_writers import Walk
 
 RATE_HZ = 10.0
 # What a data set without intrinsics assumes (7-Scenes), so that every format can hold the walk.

@@ -2,8 +2,8 @@
 
 `groundwalk.open("Church")` reads a run; docs/reference/python.md describes what it gives.
 
-The packages lie at the top of the repository (`sfm/`, `fusion/`, ...) and have one name each, `groundwalk.sfm`,
-`groundwalk.fusion`, ...: a wheel puts them into `groundwalk/`, and in a checkout they are found beside it.
+The stages lie at the top of the repository (`sfm/`, `fusion/`, ...) and are linked here, so that each has one name,
+`groundwalk.sfm`, `groundwalk.fusion`, ...; a wheel has them in `groundwalk/` itself.
 """
 
 from importlib import import_module
@@ -16,22 +16,7 @@ if TYPE_CHECKING:
     from groundwalk.runtime.bundle import open_bundle
     from groundwalk.store.errors import UserError
 
-__all__ = ["CHECKOUT", "Run", "UserError", "open", "open_bundle", "pose_array", "rigid_transforms"]
-
-
-def _checkout() -> Path | None:
-    root = Path(__file__).resolve().parent.parent
-    try:
-        lines = (root / "pyproject.toml").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return None
-    return root if 'name = "groundwalk"' in lines else None
-
-
-CHECKOUT = _checkout()
-"""The repository's folder; None where groundwalk was installed from a wheel."""
-if CHECKOUT is not None:
-    __path__.append(str(CHECKOUT))
+__all__ = ["Run", "UserError", "open", "open_bundle", "pose_array", "rigid_transforms"]
 
 
 def open(scene_or_folder: str | PathLike[str], *, profile: str = "demo", data: str | PathLike[str] = "data") -> "Run":

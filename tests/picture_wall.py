@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from known import cells
 
 from groundwalk.geometry.poses import make_pose, yaw_rotation
 from groundwalk.store.files import sha256_of, write_json
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import CAMERA_COLUMNS, pose_frame, write_table
+from tests.known import cells
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 50.0
 SMALL = ["resize=40", "crop=32", "device=cpu", "threads=1", 'models=["PN"]', "regressors.PN.epochs=1"]

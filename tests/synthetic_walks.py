@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from known import cells
 from scipy.spatial.transform import Rotation
 
 from groundwalk.alignment.examination import examine, refusal
@@ -22,6 +21,7 @@ from groundwalk.store import DataRoot
 from groundwalk.store.files import write_json
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import pose_frame, poses_of, write_table
+from tests.known import cells
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from benchmarks.faults.case import Case
 from benchmarks.faults.sandbox import PROFILE, SCENE, Sandbox
 
 # isort: split
-from capture_mutations import mutate
-from capture_writers import WRITERS, make_walk
+from tests.capture_import.capture_mutations import mutate
+from tests.capture_import.capture_writers import WRITERS, make_walk
 
 _GIB = 1 << 30
 _MIB = bytes(1 << 20)

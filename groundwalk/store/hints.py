@@ -5,7 +5,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from groundwalk import CHECKOUT
+from groundwalk.store.checkout import CHECKOUT
 from groundwalk.store.settings import DataRoot
 
 ANY_SCENE = "<scene>"

@@ -18,8 +18,8 @@ from typing import Any, Generic, TypeVar
 import pandas as pd
 import rerun as rr
 
-from groundwalk import CHECKOUT
 from groundwalk.store import progress, recording
+from groundwalk.store.checkout import CHECKOUT
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.damage import free_bytes
 from groundwalk.store.errors import UserError

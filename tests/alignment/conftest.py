@@ -1,3 +1,3 @@
 """The synthetic walks, as fixtures."""
 
-from synthetic_walks import data, data_of_module, walks  # noqa: F401
+from tests.synthetic_walks import data, data_of_module, walks  # noqa: F401

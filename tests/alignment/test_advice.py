@@ -7,10 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from known import there
 from scipy.spatial.transform import Rotation
-from synthetic_walks import Scene, Walks
-from test_checks import NOISE, make_uncertain, mirror, of_walk, shuffle, stretch, turn_otherwise
 
 from groundwalk.alignment.checks.definitions import DEFINITIONS
 from groundwalk.alignment.checks.results import CheckResult, with_status
@@ -21,6 +18,9 @@ from groundwalk.geometry.poses import make_pose
 from groundwalk.store.choices import CheckName
 from groundwalk.store.hints import ANY_SCENE
 from groundwalk.store.tables import poses_of
+from tests.alignment.test_checks import NOISE, make_uncertain, mirror, of_walk, shuffle, stretch, turn_otherwise
+from tests.known import there
+from tests.synthetic_walks import Scene, Walks
 
 _LOOSE = {"lower": 0.0, "raise": 1e3}
 

@@ -9,9 +9,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from known import cells
 from scipy.spatial.transform import Rotation
-from synthetic_walks import Scene, Walks, align
 
 from groundwalk.alignment.examination import examine
 from groundwalk.alignment.ground_truth import AlignResult
@@ -37,6 +35,8 @@ from groundwalk.store.schemas import schema
 from groundwalk.store.settings import resolve_settings
 from groundwalk.store.stage import load_manifest
 from groundwalk.store.tables import camera_of, poses_of, read_table, write_table
+from tests.known import cells
+from tests.synthetic_walks import Scene, Walks, align
 
 BOARD = {
     "kind": "charuco",

@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from known import there
 from scipy.spatial.transform import Rotation
-from synthetic_walks import Scene, Walks
 
 from groundwalk.alignment.checks.results import CheckResult, main_failure, with_status
 from groundwalk.alignment.checks.summary import checks_table
@@ -21,6 +19,8 @@ from groundwalk.store import UserError
 from groundwalk.store.choices import FailureCause
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of
+from tests.known import there
+from tests.synthetic_walks import Scene, Walks
 
 FRAMES = 30
 NOISE = {"frames": FRAMES, "sfm_m": 0.01, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1, "phone_scale": 0.002}

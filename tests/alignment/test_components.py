@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from synthetic_walks import Scene, Walks, align
 
 from groundwalk.alignment.components import VioLink
 from groundwalk.alignment.ground_truth import AlignResult
@@ -16,6 +15,7 @@ from groundwalk.geometry.poses import make_pose, path_length, yaw_rotation
 from groundwalk.scoring.errors import position_error
 from groundwalk.store.choices import FailureCause
 from groundwalk.store.tables import poses_of
+from tests.synthetic_walks import Scene, Walks, align
 
 NOISE = {"sfm_m": 0.005, "sfm_deg": 0.03, "drift_m": 0.01, "drift_yaw_deg": 0.1}
 OTHER_GAUGE = Sim3(2.1, Rotation.from_euler("xyz", [1.0, 0.2, -0.7]).as_matrix(), np.array([-4.0, 9.0, 2.0]))

@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
-from known import cells
 from scipy.spatial.transform import Rotation
 
 from groundwalk.alignment.checks.depth import check_depth
@@ -29,6 +28,7 @@ from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import pose_frame, write_table
+from tests.known import cells
 
 COUNT, SIZE, SHAPE = 12, (640, 480), (96, 128)
 K = np.array([[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]])

@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
-from synthetic_walks import Scene, Walks, align
 
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.settings import AlignSettings
@@ -16,6 +15,7 @@ from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import UserError
 from groundwalk.store.choices import NotRegistered
 from groundwalk.store.tables import poses_of
+from tests.synthetic_walks import Scene, Walks, align
 
 # About what phones do: a centimetre of model noise, VIO off by 0.3 % and 0.2 degrees a session, drifting meanwhile.
 PHONES = {

@@ -10,9 +10,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from known import there
 from scipy.spatial.transform import Rotation
-from synthetic_walks import Scene, Walks, align
 
 from groundwalk.alignment.examination import examine
 from groundwalk.alignment.ground_truth import AlignResult
@@ -29,6 +27,8 @@ from groundwalk.store.recording import GROUND_TRUTH, REJECTED, VIO
 from groundwalk.store.schemas import schema, stage_tables
 from groundwalk.store.stage import load_manifest
 from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
+from tests.known import there
+from tests.synthetic_walks import Scene, Walks, align
 
 WORLD = Sim3(1.0, Rotation.from_euler("xyz", [0.9, -0.2, 1.5]).as_matrix(), np.array([100.0, -20.0, 4.0]))
 

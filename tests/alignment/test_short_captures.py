@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from synthetic_walks import Scene, Walks, align
 
 from groundwalk.alignment.checks.results import CheckResult, with_status
 from groundwalk.alignment.examination import examine
@@ -12,6 +11,7 @@ from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.decisions import Status
 from groundwalk.consistency.windows import POSE_SD
 from groundwalk.geometry.poses import make_pose
+from tests.synthetic_walks import Scene, Walks, align
 
 # What ARKit is like over a metre: a centimetre for the root of a metre, a millimetre of jitter, 1 % of scale.
 TABLE = {"sfm_m": 0.001, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1, "jitter_m": 0.001, "phone_scale": 0.01}

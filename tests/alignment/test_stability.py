@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_walks import Scene, Walks
-from test_checks import of_walk, shuffle, turn_otherwise
 
 from groundwalk.alignment.checks.results import with_status
 from groundwalk.alignment.examination import examine, refusal
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.decisions import Status
 from groundwalk.store.tables import poses_of
+from tests.alignment.test_checks import of_walk, shuffle, turn_otherwise
+from tests.synthetic_walks import Scene, Walks
 
 FRAMES = 48
 NOISE = {"frames": FRAMES, "speed_m": 0.5, "sfm_m": 0.005, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1}

@@ -10,7 +10,6 @@ from types import ModuleType
 import numpy as np
 import pandas as pd
 import pytest
-from known import there
 from rerun.chunk import RrdReader
 
 from groundwalk.capture_import.capture import ImageFile, Limits, RawSession
@@ -19,6 +18,7 @@ from groundwalk.capture_import.formats.scanner_app import FORMAT as SCANNER_APP
 from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, UserError, execute
+from tests.known import there
 
 _SCRIPT = Path(__file__).resolve().parents[2].parent / "shared" / "cases" / "make_cases.py"
 # Those that import doesn't read as it should yet, and Record3D's, which tests of gravity and plausibility are about.

@@ -7,7 +7,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from capture_writers import scan_all
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.checks.clock import check_clock
@@ -22,6 +21,7 @@ from groundwalk.geometry.lens import rational_of_fisheye, undistort
 from groundwalk.geometry.poses import Array, interpolate, make_pose
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.choices import Clock
+from tests.capture_import.capture_writers import scan_all
 
 # What undoes a mistake, where it isn't the mistake itself.
 UNDONE_BY = {

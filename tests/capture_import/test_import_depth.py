@@ -9,7 +9,12 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from capture_writers import (
+
+from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.discovery import find_recordings
+from groundwalk.capture_import.stage import STAGE
+from groundwalk.store import DataRoot, execute
+from tests.capture_import.capture_writers import (
     Walk,
     make_walk,
     write_frames_jsonl,
@@ -18,12 +23,7 @@ from capture_writers import (
     write_scanner_app,
     write_stray_scanner,
 )
-from known import read_picture, rows, there
-
-from groundwalk.capture_import.capture import Limits
-from groundwalk.capture_import.discovery import find_recordings
-from groundwalk.capture_import.stage import STAGE
-from groundwalk.store import DataRoot, execute
+from tests.known import read_picture, rows, there
 
 SHAPE = (12, 16)  # that of the images, 72x96
 

@@ -6,7 +6,17 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from capture_writers import (
+
+from groundwalk.capture_import.capture import ImageFile, Limits
+from groundwalk.capture_import.discovery import RecordingSource, find_recordings
+from groundwalk.capture_import.formats import FORMATS
+from groundwalk.capture_import.intake import Intake, take_in
+from groundwalk.capture_import.media.images import decode_rgb
+from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.capture_import.stage import STAGE
+from groundwalk.geometry.poses import relative, rotation_angle
+from groundwalk.store import DataRoot, UserError, execute
+from tests.capture_import.capture_writers import (
     HEIGHT,
     WIDTH,
     WRITERS,
@@ -20,17 +30,7 @@ from capture_writers import (
     write_stray_scanner,
     write_video,
 )
-from known import rows, there
-
-from groundwalk.capture_import.capture import ImageFile, Limits
-from groundwalk.capture_import.discovery import RecordingSource, find_recordings
-from groundwalk.capture_import.formats import FORMATS
-from groundwalk.capture_import.intake import Intake, take_in
-from groundwalk.capture_import.media.images import decode_rgb
-from groundwalk.capture_import.settings import ImportSettings
-from groundwalk.capture_import.stage import STAGE
-from groundwalk.geometry.poses import relative, rotation_angle
-from groundwalk.store import DataRoot, UserError, execute
+from tests.known import rows, there
 
 
 def find_one(root: Path) -> RecordingSource:

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from capture_writers import Walk, make_walk, scan_all, write_frames_jsonl, write_record3d
 from scipy.spatial.transform import Rotation
 
 from groundwalk.capture_import.capture import Limits
@@ -20,6 +19,7 @@ from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose
 from groundwalk.store import DataRoot, UserError, execute
+from tests.capture_import.capture_writers import Walk, make_walk, scan_all, write_frames_jsonl, write_record3d
 
 GRAVITY = ["gravity_x", "gravity_y", "gravity_z"]
 

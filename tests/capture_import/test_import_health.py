@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from capture_writers import image, make_walk
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from groundwalk.capture_import.checks.health import check_session, find_jumps, g
 from groundwalk.capture_import.media.images import BadImage, check_image, sharpness
 from groundwalk.geometry.poses import Array, make_pose, nearest_rotation, rotation_angle, yaw_rotation
 from groundwalk.store.choices import Clock
+from tests.capture_import.capture_writers import image, make_walk
 
 
 def session_of(t_ns: np.ndarray, poses: list[Array | None]) -> RawSession:

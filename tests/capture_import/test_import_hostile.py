@@ -7,7 +7,6 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from capture_writers import WRITERS, make_walk
 
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.discovery import find_recordings
@@ -18,6 +17,7 @@ from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import read_table
+from tests.capture_import.capture_writers import WRITERS, make_walk
 
 SMALL = Limits(max_archive_bytes=1 << 20)
 

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from capture_mutations import mutate
-from capture_writers import WRITERS, make_walk, scan_all
 
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.discovery import find_recordings
@@ -21,6 +19,8 @@ from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.tables import rejects_table
 from groundwalk.geometry.poses import rigidity_error
 from groundwalk.store import UserError
+from tests.capture_import.capture_mutations import mutate
+from tests.capture_import.capture_writers import WRITERS, make_walk, scan_all
 
 SECONDS = 20
 LINES = 40

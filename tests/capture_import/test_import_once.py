@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from capture_writers import Walk, make_walk, write_scanner_app, write_stray_scanner
 from rerun.chunk import RrdReader
 
 from groundwalk.capture_import import recording
@@ -23,6 +22,7 @@ from groundwalk.capture_import.media.thumbnails import MAX_THUMBNAILS, spread, t
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, execute
 from groundwalk.store.manifests import load_manifest
+from tests.capture_import.capture_writers import Walk, make_walk, write_scanner_app, write_stray_scanner
 
 
 def frames_of(folder: Path) -> list[RawFrame]:

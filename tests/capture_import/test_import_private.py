@@ -12,8 +12,6 @@ import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
-from capture_writers import HEIGHT, WIDTH, Walk, image, jpeg, make_walk, write_scanner_app, write_stray_scanner
-from known import rows
 
 from groundwalk.capture_import import stage as import_stage
 from groundwalk.capture_import.media.blurring import CascadeDetector, Region, blur_people
@@ -21,6 +19,17 @@ from groundwalk.capture_import.media.images import decode_rgb, without_metadata
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, UserError, execute, progress
 from groundwalk.store.manifests import load_manifest
+from tests.capture_import.capture_writers import (
+    HEIGHT,
+    WIDTH,
+    Walk,
+    image,
+    jpeg,
+    make_walk,
+    write_scanner_app,
+    write_stray_scanner,
+)
+from tests.known import rows
 
 PLACE = b"48.123456N 11.654321E"
 

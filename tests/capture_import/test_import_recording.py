@@ -4,11 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from capture_writers import WRITERS, make_walk
 from rerun.chunk import RrdReader
 
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, execute
+from tests.capture_import.capture_writers import WRITERS, make_walk
 
 
 def rows_of(path: Path) -> dict[str, int]:

@@ -11,10 +11,8 @@ import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
-from capture_writers import Walk, make_walk, write_colmap, write_nerf_capture, write_nerfstudio
 from hypothesis import given
 from hypothesis import strategies as st
-from known import there
 
 from groundwalk.capture_import.capture import Intrinsics, Limits, RawSession
 from groundwalk.capture_import.discovery import find_recordings
@@ -23,6 +21,8 @@ from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import inverse
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.tables import poses_of
+from tests.capture_import.capture_writers import Walk, make_walk, write_colmap, write_nerf_capture, write_nerfstudio
+from tests.known import there
 
 DISTORTED = {
     "SIMPLE_PINHOLE": [80.0, 48.5, 35.5],

@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from capture_writers import HEIGHT, WIDTH, Walk, make_walk, write_frames_jsonl, write_scanner_app
-from known import read_picture, rows
 
 from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.tables import poses_of
+from tests.capture_import.capture_writers import HEIGHT, WIDTH, Walk, make_walk, write_frames_jsonl, write_scanner_app
+from tests.known import read_picture, rows
 
 
 def run_import(data: Path, scene: str, *settings: str) -> dict[str, pd.DataFrame]:

@@ -7,11 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from capture_writers import make_walk, write_nerfstudio
 from hypothesis import given
 from hypothesis import strategies as st
-from test_import_convention import room, with_mistake
-from test_import_health import session_of
 
 from groundwalk.capture_import.capture import Limits, RawFrame
 from groundwalk.capture_import.checks.convention import check_convention, unitless_parallax_pairs
@@ -26,6 +23,9 @@ from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store import DataRoot, execute
 from groundwalk.store.choices import PoseSource
 from groundwalk.store.tables import poses_of
+from tests.capture_import.capture_writers import make_walk, write_nerfstudio
+from tests.capture_import.test_import_convention import room, with_mistake
+from tests.capture_import.test_import_health import session_of
 
 ECEF, UTM = (4186461.3, 834911.7, 4723432.9), (499123.4, 5412345.6, 210.0)
 

@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from capture_writers import HEIGHT, WIDTH, image, make_walk, write_frames_jsonl, write_scanner_app
-from known import rows
 
 from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.capture_import.media.upright import first_row
@@ -15,6 +13,8 @@ from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import inverse, make_pose, transform
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.tables import poses_of
+from tests.capture_import.capture_writers import HEIGHT, WIDTH, image, make_walk, write_frames_jsonl, write_scanner_app
+from tests.known import rows
 
 
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3])

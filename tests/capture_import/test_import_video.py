@@ -6,7 +6,6 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
-from capture_writers import HEIGHT, WIDTH, image, make_walk, video_frame, write_stray_scanner
 
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.media import placing
@@ -15,6 +14,7 @@ from groundwalk.capture_import.media.video import decode, frame_times, gray_pixe
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.manifests import load_manifest
+from tests.capture_import.capture_writers import HEIGHT, WIDTH, image, make_walk, video_frame, write_stray_scanner
 
 
 def write_long_video(path: Path, count: int, rate_hz: int = 10) -> None:

@@ -11,12 +11,12 @@ from pathlib import Path
 import nbclient
 import nbformat
 import pytest
-from pages import COMMAND, NOT_RUN, ROOT, Block, Page, pages
 
 from groundwalk.cli import all_commands
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import settings_help
 from groundwalk.store.settings import SHIPPED_DATA, resolve_settings
+from tests.docs.pages import COMMAND, NOT_RUN, ROOT, Block, Page, pages
 
 PAGES = pages()
 COMMANDS = {command.name: command for command in all_commands()}
@@ -103,9 +103,9 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     tree = tmp_path_factory.mktemp("tree") / "groundwalk"
     listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
     for name in subprocess.run(listed, cwd=ROOT, capture_output=True, check=True).stdout.decode().split("\0"):
-        if name and (ROOT / name).is_file():
+        if name and ((ROOT / name).is_file() or (ROOT / name).is_symlink()):
             (tree / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, tree / name)
+            shutil.copy2(ROOT / name, tree / name, follow_symlinks=False)
     tiny = tree / "shipped" / "profiles" / "tiny.toml"
     for profile in tiny.parent.glob("*.toml"):
         if profile != tiny:

@@ -11,7 +11,6 @@ import pandas as pd
 import pycolmap
 import pytest
 from evo.tools import file_interface
-from known import cell, cells, read_picture, rows, there
 from typer.testing import CliRunner
 
 from groundwalk.alignment.stage import STAGE
@@ -27,6 +26,7 @@ from groundwalk.store.files import sha256_of, write_json
 from groundwalk.store.manifests import output_hashes
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import pose_frame, poses_of, read_table, with_cameras, write_table
+from tests.known import cell, cells, read_picture, rows, there
 
 UNREGISTERED, VALIDATION, TESTED = "walk0/000003", range(5, 8), range(15, 20)
 FRAMES = 39

@@ -11,7 +11,6 @@ import onnx
 import pandas as pd
 import pytest
 import torch
-from picture_wall import write_scene
 from torch import nn
 from typer.testing import CliRunner
 
@@ -31,6 +30,7 @@ from groundwalk.training.models import anchored_mixture
 from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
 from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.stage import STAGE
+from tests.picture_wall import write_scene
 
 open_session = partial(onnx_session, threads=1)
 INTRINSICS = [50.0, 50.0, 32.0, 24.0]

@@ -12,7 +12,7 @@ from benchmarks.faults.case import Case, Outcome
 from benchmarks.faults.sandbox import PROFILE, SCENE, Sandbox, digest, make_sandbox, rewritable, run_case
 
 # isort: split
-from capture_writers import WRITERS, make_walk
+from tests.capture_import.capture_writers import WRITERS, make_walk
 
 SEED, COUNT = 0, 4
 LARGE = ("bomb", "brackets", "many files")  # archives whose content takes most of a minute; test-faults has them

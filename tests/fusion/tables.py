@@ -2,9 +2,9 @@
 
 import numpy as np
 import pandas as pd
-from random_walks import random_walk
 
 from groundwalk.store.tables import pose_frame
+from tests.fusion.random_walks import random_walk
 
 Tables = tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]
 """Frames, ground truth and predictions."""

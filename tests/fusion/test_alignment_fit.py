@@ -2,12 +2,9 @@
 
 import numpy as np
 import pytest
-from known import there
-from literal_fit import literal_fit
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_t
-from upright_walks import upright_walk
 
 from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.methods.estimator import robust
@@ -30,6 +27,9 @@ from groundwalk.fusion.methods.estimator.error_covariance import (
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality
 from groundwalk.geometry.poses import Array, yaw_rotation
+from tests.fusion.literal_fit import literal_fit
+from tests.fusion.upright_walks import upright_walk
+from tests.known import there
 
 
 def test_costs_are_those_of_students_t() -> None:

@@ -5,13 +5,8 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from known import there
-from literal_rule import pair_is_consistent
-from random_walks import random_walk
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from test_mobilearloc import literal_frames
-from upright_walks import as_walk, upright_walk
 
 from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.methods.error_state import ErrorState, ErrorStateOptions
@@ -26,6 +21,11 @@ from groundwalk.geometry.fits import pose_residuals
 from groundwalk.geometry.pose_graph import smooth_chain
 from groundwalk.geometry.poses import Array, inverse, make_pose, relative, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg
+from tests.fusion.literal_rule import pair_is_consistent
+from tests.fusion.random_walks import random_walk
+from tests.fusion.test_mobilearloc import literal_frames
+from tests.fusion.upright_walks import as_walk, upright_walk
+from tests.known import there
 
 BASELINES = ["last_good", "window30", "pose_graph", "error_state"]
 

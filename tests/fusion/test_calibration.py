@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from upright_walks import upright_walk
 
 from groundwalk.fusion.methods.drift_aware import DriftAware
 from groundwalk.fusion.methods.estimator import calibration
 from groundwalk.fusion.methods.estimator.calibration import Calibration, PastEstimate
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.scoring.errors import within_bounds
+from tests.fusion.upright_walks import upright_walk
 
 BOUND = np.diag([0.04, 0.01, 0.04, 0.0001])
 

@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
-from random_walks import random_walk
-from test_mobilearloc import random_options
-from upright_walks import as_walk
 
 from groundwalk.fusion.evaluation.fuse import Fused, Run, fuse
 from groundwalk.fusion.methods.decide import Decisions, RuleWalk
 from groundwalk.fusion.methods.mobilearloc import MobileARLoc, MobileARLocOptions
 from groundwalk.fusion.walk import Walk
 from groundwalk.geometry import GeometryError
+from tests.fusion.random_walks import random_walk
+from tests.fusion.test_mobilearloc import random_options
+from tests.fusion.upright_walks import as_walk
 
 RUN = Run("mobilearloc", "{}", "PN")
 

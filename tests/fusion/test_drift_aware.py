@@ -7,12 +7,9 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from known import there
 from numpy.typing import NDArray
-from random_walks import random_walk
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
-from upright_walks import as_walk, upright_walk
 
 from groundwalk.fusion.methods import drift_aware
 from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
@@ -22,6 +19,9 @@ from groundwalk.fusion.methods.mobilearloc import MobileARLoc
 from groundwalk.fusion.methods.smoother import Smoother, SmootherOptions
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
+from tests.fusion.random_walks import random_walk
+from tests.fusion.upright_walks import as_walk, upright_walk
+from tests.known import there
 
 
 def answers(

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from known import there
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from groundwalk.fusion.methods.error_map import LEAST_FRAMES, ErrorMap, Expected, errors_of
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
+from tests.known import there
 
 
 def walk(seed: int, frames: int = 150, noise: float = 0.1) -> tuple[Array, Array]:

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from tables import tables
 
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
 from groundwalk.fusion.evaluation.intervals import intervals
 from groundwalk.scoring.bootstrap import DRAWS
+from tests.fusion.tables import tables
 
 METHODS = ["apr", "mobilearloc"]
 

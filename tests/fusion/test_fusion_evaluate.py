@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from known import there
 from scipy.spatial.transform import Rotation
-from tables import Tables, tables
 from typer.testing import CliRunner
 
 from groundwalk.fusion.__main__ import app
@@ -24,6 +22,8 @@ from groundwalk.store.choices import MapUnit
 from groundwalk.store.files import write_json
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of, read_table
+from tests.fusion.tables import Tables, tables
+from tests.known import there
 
 SEEDS = [1, 2, 3]
 Spoil = Callable[..., Tables]

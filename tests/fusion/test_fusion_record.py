@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from rerun.chunk import RrdReader
-from tables import tables
 
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
 from groundwalk.fusion.recording import blueprint, record
 from groundwalk.store.recording import open_recording
+from tests.fusion.tables import tables
 
 
 def rows_of(path: Path) -> dict[str, int]:

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from upright_walks import as_walk
 
 from groundwalk.fusion.evaluation.fuse import Fused, Run
 from groundwalk.fusion.evaluation.summary import session_figures
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
+from tests.fusion.upright_walks import as_walk
 
 SECOND = 10**9
 

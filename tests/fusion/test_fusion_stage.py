@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from tables import tables
 
 from groundwalk.fusion.stage import STAGE, FuseSettings
 from groundwalk.store import DataRoot, StageRun, UserError
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import read_table
+from tests.fusion.tables import tables
 
 
 class Inputs(StageRun):

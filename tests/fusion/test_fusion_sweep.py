@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tables import tables
 from typer.testing import CliRunner
 
 from groundwalk.fusion.__main__ import app
@@ -13,6 +12,7 @@ from groundwalk.fusion.evaluation.sweep import VALUES, around, grid, sweep
 from groundwalk.fusion.methods.mobilearloc import MobileARLocOptions
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import read_table
+from tests.fusion.tables import tables
 
 INPUTS = Inputs("Place", *tables([1, 2, 3, 4], ("PN", "MS-T")))
 WALKS = {("Place", model): joined.walks for model, joined in joined_walks(INPUTS, ["test"])}

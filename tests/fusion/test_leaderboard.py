@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from known import cell
-from tables import Tables, tables
 from typer.testing import CliRunner
 
 from groundwalk.cli import app
@@ -18,6 +16,8 @@ from groundwalk.fusion.evaluation.leaderboard import ahead, cases_in, entrants, 
 from groundwalk.fusion.evaluation.leaderboard_report import lag_ratios, run_leaderboard
 from groundwalk.fusion.evaluation.validation import ahead_of
 from groundwalk.store import UserError
+from tests.fusion.tables import Tables, tables
+from tests.known import cell
 
 NAMES = ("frames", "ground_truth", "predictions")
 

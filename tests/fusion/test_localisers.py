@@ -5,13 +5,13 @@ import pickle
 
 import numpy as np
 import pytest
-from random_walks import random_walk
-from upright_walks import upright_walk
 
 from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.methods.localiser import Estimate, Localiser
 from groundwalk.geometry.poses import interpolate
 from groundwalk.scoring.errors import position_error
+from tests.fusion.random_walks import random_walk
+from tests.fusion.upright_walks import upright_walk
 
 CAUSAL = [name for name, method in METHODS.items() if method.causal]
 RATE = 60

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from known import there
-from literal_rule import Frame, Pose, Vector, label_walk
-from random_walks import RandomWalk, random_walk
 from scipy.spatial.transform import Rotation
 
 from groundwalk.fusion.methods.localiser import Estimate, Status
 from groundwalk.fusion.methods.mobilearloc import MobileARLoc, MobileARLocOptions, reference, similarity
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, make_pose, tq_from_pose
+from tests.fusion.literal_rule import Frame, Pose, Vector, label_walk
+from tests.fusion.random_walks import RandomWalk, random_walk
+from tests.known import there
 
 # Each option's other readings, for the random choice below.
 READINGS: dict[str, list[Any]] = {

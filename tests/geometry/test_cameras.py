@@ -3,10 +3,10 @@
 import numpy as np
 import pycolmap
 import pytest
-from known import there
 
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.cameras import Camera, centred_pinhole, pinhole_within
+from tests.known import there
 
 _LENSES = [(0.092, -0.125, 0.0, 0.0), (0.16, -0.40, 0.0, 0.0), (-0.1, 0.02, 0.002, -0.001), (0.1, -0.15, 0, 0, 0.02)]
 _SIZE = (320, 240)

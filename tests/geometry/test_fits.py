@@ -8,7 +8,6 @@ import pytest
 from evo.core.geometry import umeyama_alignment
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from known import there
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry import GeometryError
@@ -25,6 +24,7 @@ from groundwalk.geometry.fits import (
     sim3_between,
 )
 from groundwalk.geometry.poses import Array, make_pose, transform, yaw_rotation
+from tests.known import there
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from made_up_run import FRAMES, MadeUpRun
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import DataRoot
+from tests.groundwalk.made_up_run import FRAMES, MadeUpRun
 
 
 @pytest.fixture

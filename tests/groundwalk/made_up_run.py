@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from known import cells
 from pydantic import ConfigDict
 
 from groundwalk.geometry.fits import Sim3
@@ -15,6 +14,7 @@ from groundwalk.store import DataRoot, Settings, Stage, StageRun, execute
 from groundwalk.store.files import sha256_of
 from groundwalk.store.schemas import schema, stage_tables
 from groundwalk.store.tables import pose_frame, pose_prefixes
+from tests.known import cells
 
 FRAMES = 12
 LOST = 5  # the row that has no ground truth

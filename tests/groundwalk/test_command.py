@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from made_up_run import MadeUpRun
 from typer.main import get_command
 from typer.testing import CliRunner
 
@@ -21,6 +20,7 @@ from groundwalk.cli import all_commands, app
 from groundwalk.pipeline import Step, _first_outdated, run_steps, steps
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.settings import STAGES
+from tests.groundwalk.made_up_run import MadeUpRun
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = {"cv2", "numba", "numpy", "open3d", "pandas", "pyarrow", "pycolmap", "rerun", "scipy", "torch", "pydantic"}

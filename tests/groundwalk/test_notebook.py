@@ -6,7 +6,8 @@ from pathlib import Path
 import nbclient
 import nbformat
 import pytest
-from made_up_run import MadeUpRun
+
+from tests.groundwalk.made_up_run import MadeUpRun
 
 NOTEBOOK = Path(__file__).resolve().parents[2] / "docs" / "tutorials" / "first_look.ipynb"
 

@@ -14,13 +14,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
-from made_up_run import FRAMES, LOST, MadeUpRun
 
 import groundwalk
 from groundwalk import UserError
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import read_table, write_table
+from tests.groundwalk.made_up_run import FRAMES, LOST, MadeUpRun
 
 ROOT = Path(__file__).resolve().parents[2]
 Make = Callable[..., MadeUpRun]

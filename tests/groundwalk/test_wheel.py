@@ -26,9 +26,9 @@ def site_packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # Building writes into the tree.
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     for name in filter(None, listed.split("\0")):
-        if (ROOT / name).is_file():
+        if (ROOT / name).is_file() or (ROOT / name).is_symlink():
             (folder / "tree" / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(ROOT / name, folder / "tree" / name)
+            shutil.copyfile(ROOT / name, folder / "tree" / name, follow_symlinks=False)
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
     build = [*pip, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir"]
     subprocess.run([*build, folder, folder / "tree"], check=True, env=without_python_path())
@@ -78,7 +78,7 @@ def test_the_installed_command_works_outside_the_checkout(run: Run) -> None:
     assert done.returncode == 0 and "simulate" in done.stdout, done.stderr
     done = run("groundwalk", "scenes")
     assert {"demo", "standard", "paper", "tiny", "Church", "outdoor"} <= set(done.stdout.split()), done.stderr
-    done = run("python", "-c", "import groundwalk; print(groundwalk.CHECKOUT, groundwalk.__file__)")
+    done = run("python", "-c", "from groundwalk.store import checkout; print(checkout.CHECKOUT, checkout.__file__)")
     assert done.stdout.split()[0] == "None" and str(ROOT) not in done.stdout
     done = run("python", "-c", "import groundwalk; groundwalk.open('Church')")
     assert "groundwalk run --scene Church --profile demo --until report" in done.stderr

@@ -1,3 +1,3 @@
 """A scene with two boards, as fixtures."""
 
-from board_scene import boards, make_boards  # noqa: F401
+from tests.localisation.board_scene import boards, make_boards  # noqa: F401

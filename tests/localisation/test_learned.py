@@ -7,7 +7,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from board_scene import TEST, VAL, Boards
 from numpy.typing import NDArray
 
 from groundwalk.localisation import learned
@@ -17,6 +16,7 @@ from groundwalk.localisation.stage import STAGE
 from groundwalk.scoring.errors import position_error
 from groundwalk.store import UserError, execute
 from groundwalk.store.tables import poses_of
+from tests.localisation.board_scene import TEST, VAL, Boards
 
 MakeBoards = Callable[..., Boards]
 

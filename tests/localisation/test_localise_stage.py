@@ -9,8 +9,6 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from board_scene import COUNT, TEST, VAL, Boards, other_board_picture
-from known import read_picture
 
 from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.inputs import read_inputs
@@ -22,6 +20,8 @@ from groundwalk.store import UserError, execute
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
+from tests.known import read_picture
+from tests.localisation.board_scene import COUNT, TEST, VAL, Boards, other_board_picture
 
 SMALL = ["max_features=300", "pairs_per_frame=5", "localisers.Map.max_points=400"]
 MakeBoards = Callable[..., Boards]

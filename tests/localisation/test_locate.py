@@ -10,8 +10,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from board_scene import CAMERA, HEIGHT, TEST, WIDTH, Boards, other_board_picture
-from known import read_picture
 from scipy.spatial.transform import Rotation
 
 import groundwalk
@@ -24,6 +22,8 @@ from groundwalk.runtime.queries import file_query, known_of, query_of
 from groundwalk.scoring.errors import position_error
 from groundwalk.store import execute
 from groundwalk.store.images import read_image
+from tests.known import read_picture
+from tests.localisation.board_scene import CAMERA, HEIGHT, TEST, WIDTH, Boards, other_board_picture
 
 SMALL = ["max_features=300", "pairs_per_frame=5", "localisers.Map.max_points=400"]
 ROW = int(np.flatnonzero(TEST)[1])

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from known import there
-from scenes import HIGH, LOGGED, Place, features, place, training, walk
 from scipy.spatial.transform import Rotation
 
 from groundwalk.features.sift import Features
@@ -24,6 +22,8 @@ from groundwalk.localisation.prepared import Prepared, prepare
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import UserError
+from tests.known import there
+from tests.localisation.scenes import HIGH, LOGGED, Place, features, place, training, walk
 
 Built = tuple[Place, Prepared, CompactMap]
 EXTRACTION, SETTINGS = StructureSettings(pairs_per_frame=6), MapSettings(max_points=900)

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pycolmap
 import pytest
-from known import there
-from scenes import DOWN, HIGH, LOGGED, READOUT_S, SEEN_BY, place, projected, walk
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -15,6 +13,8 @@ from groundwalk.geometry.poses import Array, inverse, make_pose, transform
 from groundwalk.localisation.frames import Views
 from groundwalk.localisation.pose import Observed, Priors, ransac, refine, upright_poses, upright_ransac
 from groundwalk.scoring.errors import normalised_squares, pose_error, position_error, rotation_error_deg
+from tests.known import there
+from tests.localisation.scenes import DOWN, HIGH, LOGGED, READOUT_S, SEEN_BY, place, projected, walk
 
 PRIORS = Priors(angular_sd=0.2, velocity_sd=0.5, focal_sd=0.004, gravity_sd=0.001, pixel_sd=0.05)
 

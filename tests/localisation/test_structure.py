@@ -5,7 +5,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from scenes import HIGH, SEEN_BY, place, projected, training, walk
 from scipy.spatial import cKDTree
 
 from groundwalk.geometry.cameras import Camera
@@ -15,6 +14,7 @@ from groundwalk.localisation.matching import covisible_pairs, mutual_matches
 from groundwalk.localisation.selection import covering_points
 from groundwalk.localisation.structure import matched_features, matches_of, structure_of
 from groundwalk.localisation.tracks import Rays, epipolar_error_px, tracks, triangulate
+from tests.localisation.scenes import HIGH, SEEN_BY, place, projected, training, walk
 
 
 @pytest.mark.parametrize("first_row", ["top", "right", "bottom", "left"])

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from known import read_picture, there
 from typer.testing import CliRunner
 
 from groundwalk.capture_import.capture import Limits
@@ -18,6 +17,7 @@ from groundwalk.sfm.stage import STAGE as SFM
 from groundwalk.simulation.__main__ import app as simulation_app
 from groundwalk.store import DataRoot, execute
 from groundwalk.store.tables import poses_of
+from tests.known import read_picture, there
 
 pytestmark = pytest.mark.slow
 SIMULATED, READOUT_S = "Church", 0.025

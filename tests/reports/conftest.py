@@ -1,3 +1,3 @@
 """Made-up scenes, as a fixture."""
 
-from made_up_scenes import make_run  # noqa: F401
+from tests.reports.made_up_scenes import make_run  # noqa: F401

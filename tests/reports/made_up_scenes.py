@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from known import cells
 from scipy.spatial.transform import Rotation
 
 from groundwalk.capture_import.splits import leak_seconds
@@ -20,6 +19,7 @@ from groundwalk.store.files import hash_files, write_json
 from groundwalk.store.schemas import schema, stage_tables
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.tables import pose_frame, read_table, write_table
+from tests.known import cells
 
 SECOND = 1_000_000_000
 MODELS = ("PN", "MS-T")

@@ -8,14 +8,14 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
-from known import there
-from made_up_scenes import MODELS, MadeUpScene
 from matplotlib.lines import Line2D
 
 from groundwalk.reports import style
 from groundwalk.reports.figures import confidence, costs, sensitivity
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.store.choices import MapUnit
+from tests.known import there
+from tests.reports.made_up_scenes import MODELS, MadeUpScene
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from known import rows
 
 from groundwalk.reports.checks import AGREES, CAUTION, DISAGREES, check_tables, decimals, meets, percent, rounded, whole
 from groundwalk.reports.published import PrintedTables, load_claims, load_published
 from groundwalk.scoring.scores import SUBSETS
+from tests.known import rows
 
 # Everything that the published tables get wrong, as (rule, scene, subset, column) -> (by the rule, printed).
 TABLE_FAULTS = {

@@ -10,7 +10,6 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 import pytest
-from known import there
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -28,6 +27,7 @@ from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.stage import execute
 from groundwalk.store.tables import read_table, write_table
+from tests.known import there
 
 MakeRun = Callable[..., DataRoot]
 

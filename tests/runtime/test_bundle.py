@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from picture_wall import FOCAL, HEIGHT, WIDTH
 from scipy.spatial.transform import Rotation
 
 from groundwalk import UserError
@@ -24,6 +23,7 @@ from groundwalk.runtime.bundle_file import MANIFEST, write_manifest
 from groundwalk.runtime.preprocessing import Preprocessing
 from groundwalk.runtime.queries import Query
 from groundwalk.store.images import read_image
+from tests.picture_wall import FOCAL, HEIGHT, WIDTH
 
 NUMBERS = [FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2]
 CAMERA = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)

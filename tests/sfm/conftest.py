@@ -1,3 +1,3 @@
 """A textured room, as a fixture."""
 
-from textured_room import room  # noqa: F401
+from tests.sfm.textured_room import room  # noqa: F401

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pycolmap
-from known import cells
 
 from groundwalk.geometry.poses import inverse, make_pose
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.tables import pose_frame
+from tests.known import cells
 
 
 def synthetic_model() -> pycolmap.Reconstruction:

@@ -8,7 +8,6 @@ from typing import cast
 import numpy as np
 import pycolmap
 import pytest
-from known import there
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.fits import fit_sim3
@@ -40,6 +39,7 @@ from groundwalk.sfm.quality.covariance import covariances
 from groundwalk.sfm.quality.residuals import LENS, SHUTTER, draw_residuals, pattern_of, residual_patterns
 from groundwalk.sfm.tables import camera_tables
 from groundwalk.store.choices import CameraOrigin
+from tests.known import there
 
 _FRAMES, _POINTS, _NOISE_PX = 24, 2500, 0.2
 _LENS, _READOUT_S = (0.092, -0.125), 0.02

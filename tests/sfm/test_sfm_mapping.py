@@ -4,12 +4,12 @@ import numpy as np
 import pycolmap
 import pytest
 from scipy.linalg import LinAlgError
-from synthetic_model import log_of, synthetic_model
 
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.model_adjustment import adjust_model, with_lenses_of
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.settings import SfmSettings
+from tests.sfm.synthetic_model import log_of, synthetic_model
 
 
 def test_points_behind_a_camera_are_taken_out(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from textured_room import Room
 
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import skew
@@ -18,6 +17,7 @@ from groundwalk.sfm.pairs.odometry import nothing_compared
 from groundwalk.sfm.quality.messages import excluded_pairs
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import PairInconsistency
+from tests.sfm.textured_room import Room
 
 SETTINGS = SfmSettings(max_features=400)
 SEED = 3

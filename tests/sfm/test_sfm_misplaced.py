@@ -6,11 +6,11 @@ import numpy as np
 import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
-from synthetic_model import log_of, synthetic_model
 
 from groundwalk.sfm.mapping.misplaced import MatchCheck, misplaced
 from groundwalk.sfm.mapping.source import Matches
 from groundwalk.sfm.settings import SfmSettings
+from tests.sfm.synthetic_model import log_of, synthetic_model
 
 PAIRS = np.array(list(combinations(range(9), 2)))
 

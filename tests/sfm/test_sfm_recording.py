@@ -7,10 +7,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from known import there
 
 from groundwalk.geometry.cameras import Camera
 from groundwalk.sfm.recording import _log_view, _undistorted
+from tests.known import there
 
 _CAMERA = Camera(960, 720, 724.0, 725.0, 484.0, 346.0, (0.092, -0.125, 0.001, 0.0))
 

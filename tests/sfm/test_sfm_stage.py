@@ -14,8 +14,6 @@ import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
-from known import read_picture
-from textured_room import Room, make_look_alike_rooms, make_room
 
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import rotation_angle
@@ -24,6 +22,8 @@ from groundwalk.store import UserError, execute
 from groundwalk.store.choices import Clock, NotRegistered
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of, read_table, write_table
+from tests.known import read_picture
+from tests.sfm.textured_room import Room, make_look_alike_rooms, make_room
 
 _SETTINGS = ["sequence_pairs=3", "vio_pairs=2", "retrieval_pairs=3", "retrieval_words=16"]
 _TABLES = ["images", "models", "attempts", "pairs", "points"]

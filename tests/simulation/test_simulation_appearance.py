@@ -7,7 +7,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from known import read_picture
 
 from groundwalk.capture_import.stage import STAGE as IMPORT
 from groundwalk.simulation.appearance import MOVED_FRACTION, seen_as
@@ -25,6 +24,7 @@ from groundwalk.store.choices import Appearance
 from groundwalk.store.schemas import schema
 from groundwalk.store.simulated import appearances_of
 from groundwalk.store.tables import read_table
+from tests.known import read_picture
 
 OTHERS = [a for a in Appearance if a != Appearance.SAME]
 SMALL = ["frame_fraction=0.006", "test_frames=600", "train_sessions=2", "test_sessions=1", "rate_hz=5", "width=96"]

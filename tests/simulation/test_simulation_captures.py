@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from known import read_picture
 
 from groundwalk.geometry.lens import k1_k2_of_k3
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, relative, rotation_angle
@@ -21,6 +20,7 @@ from groundwalk.simulation.simulate import simulate
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of, read_table
+from tests.known import read_picture
 
 SCENE = "Office"
 SMALL = [

@@ -42,8 +42,7 @@ def test_the_child_does_without_its_parents_main_module(tmp_path: Path) -> None:
     script = tmp_path / "main.py"
     script.write_text(
         "from pathlib import Path\n"
-        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        f"from {Path(__file__).stem} import _double, in_child, Task\n"
+        f"from {__name__} import _double, in_child, Task\n"
         "print('main')\n"
         f"print(in_child('doubling', Path({str(tmp_path / 'log')!r}), '', Task(_double, (21,), 1)))\n"
     )
@@ -53,8 +52,7 @@ def test_the_child_does_without_its_parents_main_module(tmp_path: Path) -> None:
 
 def test_a_temporary_folder_may_have_a_long_name(tmp_path: Path) -> None:
     script = (
-        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        f"from {Path(__file__).stem} import _double, in_child, Path, Task\n"
+        f"from {__name__} import _double, in_child, Path, Task\n"
         f"print(in_child('doubling', Path({str(tmp_path / 'log')!r}), '', Task(_double, (21,), 1)))\n"
     )
     for length in (60, 105, 200):
@@ -75,9 +73,9 @@ def _has_zipapp(report: Report) -> bool:
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 def test_a_child_has_what_was_named_before_it_started(tmp_path: Path) -> None:
     script = (
-        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "from groundwalk.store.child import preload\n"
-        f"from {Path(__file__).stem} import _has_zipapp, in_child, Path, Task\n"
+        "import sys\n"
+        f"from {__name__} import _has_zipapp, in_child, Path, Task\n"
         "preload(*sys.argv[1:])\n"
         f"print(in_child('looking', Path({str(tmp_path / 'log')!r}), '', Task(_has_zipapp)))\n"
     )
@@ -121,8 +119,7 @@ def test_an_aborted_child_is_an_error_with_the_end_of_its_log(tmp_path: Path) ->
 def test_the_child_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     written, script = tmp_path / "alive", tmp_path / "parent.py"
     script.write_text(
-        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        f"from {Path(__file__).stem} import _write_for_ever, in_child, Path, Task\n"
+        f"from {__name__} import _write_for_ever, in_child, Path, Task\n"
         f"if __name__ == '__main__':\n"
         f"    task = Task(_write_for_ever, (Path({str(written)!r}),))\n"
         f"    in_child('writing', Path({str(tmp_path / 'log')!r}), '', task)\n"

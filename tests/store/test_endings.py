@@ -67,7 +67,7 @@ def start(
     run: str, data: DataRoot, limits: Callable[[], None] | None = None, options: tuple[str, ...] = ()
 ) -> subprocess.Popen[str]:
     program = (
-        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import test_endings\n"
+        "from tests.store import test_endings\n"
         f"test_endings.stage_app(test_endings.stage(test_endings.{run}))("
         f"['--scene', 'place', '--profile', 'tiny', '--data', {str(data.root)!r}, *{options}])"
     )

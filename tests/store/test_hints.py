@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from groundwalk import CHECKOUT
 from groundwalk.cli import app
 from groundwalk.pipeline import Step
 from groundwalk.store import DataRoot
+from groundwalk.store.checkout import CHECKOUT
 from groundwalk.store.hints import (
     groundwalk_command,
     link_command,

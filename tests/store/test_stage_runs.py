@@ -20,8 +20,7 @@ from groundwalk.store.tables import pose_frame
 PROGRAM = """
 import os, signal, sys
 from pathlib import Path
-sys.path.insert(0, {tests!r})
-from test_stage_runs import STAGE, execute, DataRoot
+from tests.store.test_stage_runs import STAGE, execute, DataRoot
 import groundwalk.store.stage as stage_module
 
 die_at = sys.argv[2]
@@ -42,7 +41,7 @@ def dying_rename(self, target):
     die("rename to " + Path(target).name)
     return result
 Path.rename = dying_rename
-import test_stage_runs
+from tests.store import test_stage_runs
 test_stage_runs.DIE = die
 execute(STAGE, "place", "tiny", DataRoot(Path(sys.argv[1])), sys.argv[3:])
 """
@@ -140,8 +139,7 @@ def test_killed_run_leaves_nothing_half_and_goes_on(data: DataRoot, tmp_path: Pa
     folder = execute(STAGE, "place", "tiny", data)
     old = table_bytes(folder)
 
-    program = PROGRAM.format(tests=str(Path(__file__).parent))
-    command = [sys.executable, "-c", program, str(data.root), moment, "offset=1"]
+    command = [sys.executable, "-c", PROGRAM, str(data.root), moment, "offset=1"]
     killed = subprocess.run(command, capture_output=True, text=True)
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     if (folder / "manifest.json").exists():

@@ -10,13 +10,13 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from known import cells
 
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import UserError
 from groundwalk.store.choices import Split
 from groundwalk.store.schemas import Column, TableSchema, all_tables, pose_columns
 from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
+from tests.known import cells
 
 SCHEMA = TableSchema(
     "sfm",

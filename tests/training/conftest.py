@@ -2,7 +2,8 @@
 
 import pytest
 import torch
-from picture_wall import make_scene  # noqa: F401
+
+from tests.picture_wall import make_scene  # noqa: F401
 
 
 @pytest.fixture(autouse=True)

@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from synthetic_walks import filled
 from torch import Tensor
 
 from groundwalk.store import DataRoot, UserError, execute
@@ -21,6 +20,7 @@ from groundwalk.training.models.regressor import MapPoints, PoseBatch
 from groundwalk.training.regressor_settings import DFNetSettings
 from groundwalk.training.rotations import log_quaternion
 from groundwalk.training.stage import STAGE
+from tests.synthetic_walks import filled
 
 RED, GREEN = [1.0, 0, 0], [0, 1.0, 0]
 AHEAD = torch.tensor([[0.0, 0, 0, 1]])

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from test_train_loop import CPU, random_frames, silent
 from torch import Tensor
 
 from groundwalk.training.data import View, normalised
@@ -16,6 +15,7 @@ from groundwalk.training.precision import gradient_step, step_seconds
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.steps import GradientStep
+from tests.training.test_train_loop import CPU, random_frames, silent
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="PyTorch sees no GPU")
 CUDA, VIEW = torch.device("cuda"), View(32, 32)
