@@ -40,7 +40,7 @@ from groundwalk.store.progress import track
 # isort: split
 from tests.capture_import.capture_mutations import mutate
 from tests.capture_import.capture_writers import WRITERS, Walk, make_walk
-from tests.capture_import.test_import_mutations import no_longer_than, take_all
+from tests.capture_import.test_mutations import no_longer_than, take_all
 
 POSES = 24
 SEEN = 50

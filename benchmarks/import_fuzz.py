@@ -27,7 +27,7 @@ with atheris.instrument_imports(include=["capture_import"]):
 
     # isort: split
     from tests.capture_import.capture_writers import WRITERS, make_walk
-    from tests.capture_import.test_import_mutations import no_longer_than, take_all
+    from tests.capture_import.test_mutations import no_longer_than, take_all
 
 FOUND = Path("build/fuzz")
 

@@ -16,7 +16,7 @@ from groundwalk.training import precision, stage
 from groundwalk.training.data import View
 from groundwalk.training.models.regressor import PoseBatch
 from groundwalk.training.precision import Precision, faster, step_seconds
-from tests.training.test_train_loop import CPU, SmallRegressor, random_frames
+from tests.training.test_loop import CPU, SmallRegressor, random_frames
 
 SETTINGS = [
     "resize=40",

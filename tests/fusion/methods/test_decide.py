@@ -8,8 +8,8 @@ from groundwalk.fusion.methods.decide import Decisions, RuleWalk
 from groundwalk.fusion.methods.mobilearloc import MobileARLoc, MobileARLocOptions
 from groundwalk.fusion.walk import Walk
 from groundwalk.geometry import GeometryError
+from tests.fusion.methods.test_mobilearloc import random_options
 from tests.fusion.random_walks import random_walk
-from tests.fusion.test_mobilearloc import random_options
 from tests.fusion.upright_walks import as_walk
 
 RUN = Run("mobilearloc", "{}", "PN")

@@ -15,7 +15,7 @@ from groundwalk.training.precision import gradient_step, step_seconds
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.steps import GradientStep
-from tests.training.test_train_loop import CPU, random_frames, silent
+from tests.training.test_loop import CPU, random_frames, silent
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="PyTorch sees no GPU")
 CUDA, VIEW = torch.device("cuda"), View(32, 32)

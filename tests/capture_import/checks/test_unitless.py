@@ -24,8 +24,8 @@ from groundwalk.store import DataRoot, execute
 from groundwalk.store.choices import PoseSource
 from groundwalk.store.tables import poses_of
 from tests.capture_import.capture_writers import make_walk, write_nerfstudio
-from tests.capture_import.test_import_convention import room, with_mistake
-from tests.capture_import.test_import_health import session_of
+from tests.capture_import.checks.test_convention import room, with_mistake
+from tests.capture_import.checks.test_health import session_of
 
 ECEF, UTM = (4186461.3, 834911.7, 4723432.9), (499123.4, 5412345.6, 210.0)
 

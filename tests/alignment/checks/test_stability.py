@@ -11,7 +11,7 @@ from groundwalk.alignment.examination import examine, refusal
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.decisions import Status
 from groundwalk.store.tables import poses_of
-from tests.alignment.test_checks import of_walk, shuffle, turn_otherwise
+from tests.alignment.checks.test_checks import of_walk, shuffle, turn_otherwise
 from tests.synthetic_walks import Scene, Walks
 
 FRAMES = 48

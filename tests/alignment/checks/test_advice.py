@@ -18,7 +18,7 @@ from groundwalk.geometry.poses import make_pose
 from groundwalk.store.choices import CheckName
 from groundwalk.store.hints import ANY_SCENE
 from groundwalk.store.tables import poses_of
-from tests.alignment.test_checks import NOISE, make_uncertain, mirror, of_walk, shuffle, stretch, turn_otherwise
+from tests.alignment.checks.test_checks import NOISE, make_uncertain, mirror, of_walk, shuffle, stretch, turn_otherwise
 from tests.known import there
 from tests.synthetic_walks import Scene, Walks
 

@@ -22,8 +22,8 @@ from groundwalk.geometry.pose_graph import smooth_chain
 from groundwalk.geometry.poses import Array, inverse, make_pose, relative, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from tests.fusion.literal_rule import pair_is_consistent
+from tests.fusion.methods.test_mobilearloc import literal_frames
 from tests.fusion.random_walks import random_walk
-from tests.fusion.test_mobilearloc import literal_frames
 from tests.fusion.upright_walks import as_walk, upright_walk
 from tests.known import there
 
