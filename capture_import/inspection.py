@@ -74,9 +74,9 @@ def _inspect(
     implausible = plausibility_faults(intake)
     for fault in implausible:
         yield f"  warning    {fault.text}"
-    fault = _fault(intake, raw, check, implausible)
-    yield f"  status     {fault or _status(intake, raw, check, gravity, implausible)}"
-    return intake, fault is None
+    why_unusable = _fault(intake, raw, check, implausible)
+    yield f"  status     {why_unusable or _status(intake, raw, check, gravity, implausible)}"
+    return intake, why_unusable is None
 
 
 def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:

@@ -6,6 +6,7 @@ import shlex
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any, cast
 
 import pandas as pd
 
@@ -318,7 +319,7 @@ def _report(
     split: SplitResult,
 ) -> None:
     images = sum(len(s.images) for s in sessions)
-    for row in table.itertuples():
+    for row in cast(Iterable[Any], table.itertuples()):
         walked = [f"{row.path_m:.1f} m"] if pd.notna(row.path_m) else []
         walked += [f"{row.duration_s:.0f} s"] if pd.notna(row.duration_s) else ["no times"]
         r.say(
@@ -365,8 +366,8 @@ def _warn_of_small_side(r: StageRun[ImportSettings], dataset: pd.DataFrame) -> N
     counts = dataset["split"].value_counts()
     trained, tested = counts.get("train", 0), counts.get("test", 0)
     if trained < tested:
-        by_recording = dataset.groupby(["recording", "split"], sort=False).size()
-        listed = name_list([f"{n} of {recording} {split}" for (recording, split), n in by_recording.items()], 8)
+        of_recordings: Any = dataset.groupby(["recording", "split"], sort=False).size().items()
+        listed = name_list([f"{count} of {recording} {split}" for (recording, split), count in of_recordings], 8)
         r.say(
             f"warning: {trained} frames train and {tested} test: {listed}; {setting_of('split', 'test')} lists "
             "other recordings to test on, and test_fraction there says how much of a single one"
@@ -422,7 +423,7 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
 
 STAGE = Stage(
     name="import",
-    version=16,
+    version=17,
     settings=ImportSettings,
     needs=(),
     run=run,

@@ -87,7 +87,8 @@ def check_convention(session: ImportedSession, load: LoadGray) -> ConventionChec
 def matched_pairs(session: ImportedSession, load: LoadGray) -> list[MatchedPair]:
     """A session's pairs of images with parallax and enough matches."""
     frames = [image.frame for image in session.images]
-    pairs = parallax_pairs(frames) if session.recording.is_metric else unitless_parallax_pairs(frames)
+    is_walk = session.recording.is_metric and session.recording.clock.has_times
+    pairs = parallax_pairs(frames) if is_walk else unitless_parallax_pairs(frames)
     features = _features([frames[i] for i in sorted({i for pair in pairs for i in pair})], load)
     matched = []
     for a, b in pairs:
@@ -130,7 +131,7 @@ def parallax_pairs(frames: Sequence[RawFrame]) -> list[tuple[int, int]]:
 
 
 def unitless_parallax_pairs(frames: Sequence[RawFrame]) -> list[tuple[int, int]]:
-    """Pairs as those of `parallax_pairs` where poses have no unit, and mostly no times: each frame and one of the
+    """Pairs as those of `parallax_pairs` where poses have no unit or no times: each frame and one of the
     nearest, about as far as nearest ones with little rotation are. The same at any scale and origin, as good in any
     order of the frames."""
     poses = np.array([frame.vio_T_cam for frame in frames], dtype=float).reshape(-1, 4, 4)
