@@ -88,7 +88,7 @@ def _turned_cameras(reference_T_cam: Array, sfm_T_cam: Array, limits: Limits) ->
         if fit is None:
             return ""
         turn = fit.a_S_b.rotation
-    if not limits.agrees(fit, _extent(corrected)):
+    if fit is None or not limits.agrees(fit, _extent(corrected)):
         return ""
     axes = ", ".join("(" + ", ".join(f"{v + 0.0:.2f}" for v in np.round(axis, 2)) + ")" for axis in cam_R_stated.T)
     return (

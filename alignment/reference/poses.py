@@ -30,12 +30,13 @@ class Reference:
         if not has_pose.any():
             return None
         referenced = sessions[sessions["session_id"].isin(set(frames["session_id"][has_pose]))]
+        x, y, z = (float(referenced[f"reference_origin_{axis}"].iloc[0]) for axis in "xyz")
         return Reference(
             map_T_cam,
             is_metric=bool((referenced["reference_unit"] == LengthUnit.METRE).all()),
             is_up_known=bool((referenced["up"] == UpAxis.Y).all()),
             gives_map=bool(frames["vio_cam_tx"].isna().all()),
-            origin=tuple(float(referenced[f"reference_origin_{axis}"].iloc[0]) for axis in "xyz"),
+            origin=(x, y, z),
         )
 
     def where(self, mask: np.ndarray) -> "Reference":
