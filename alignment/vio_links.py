@@ -185,5 +185,5 @@ def _origin(first: Component, used: np.ndarray, sd: PoseSd) -> Sim3:
             metric_T_vio, _, _ = fit_rigid(metric_T_cam, segment.vio_T_cam[both], sd, yaw_only=is_upright)
             vio_T_metric = inverse(metric_T_vio)
             return Sim3(1.0, vio_T_metric[:3, :3], vio_T_metric[:3, 3])
-    first = next(s.where(s.registered & used[s.rows]) for s in segments if np.any(s.registered & used[s.rows]))
-    return Sim3(1.0, np.eye(3), -metric_S_sfm.poses(first.sfm_T_cam[:1])[0, :3, 3])
+    start = next(s.where(s.registered & used[s.rows]) for s in segments if np.any(s.registered & used[s.rows]))
+    return Sim3(1.0, np.eye(3), -metric_S_sfm.poses(start.sfm_T_cam[:1])[0, :3, 3])

@@ -62,8 +62,9 @@ def check_gravity(intake: Intake, load: LoadGray) -> GravityCheck:
         return replace(stated, text="the capture says that its +y isn't up")
     by_lines = _by_lines(max(intake.sessions, key=lambda session: len(session.images)), load)
     if stated.source == UpSource.STATED:
-        is_denied = by_lines is not None and not by_lines.is_aligned
-        return replace(stated, text=f"by what the capture states, but {by_lines.text}") if is_denied else stated
+        if by_lines is not None and not by_lines.is_aligned:
+            return replace(stated, text=f"by what the capture states, but {by_lines.text}")
+        return stated
     if by_lines is not None:
         return by_lines
     if starts_along_axes(intake.sessions):

@@ -317,7 +317,7 @@ def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, seed
         is_better = _is_better(checked, at_prior, at_weak)
         denied = _distortion_is_denied(prior, weak, matches.stated_6, frames.iloc[matches.frames[0, 0]])
         wrong, undecided = denied and is_better, denied and not is_better
-        readout_is_wrong = _readout_is_denied(prior, weak) and np.median(at_weak) < np.median(at_prior)
+        readout_is_wrong = _readout_is_denied(prior, weak) and bool(np.median(at_weak) < np.median(at_prior))
         if readout_is_wrong or (wrong and not is_held):
             prior = _loosened(prior, distortion=wrong and not is_held, readout=readout_is_wrong)
             information = np.linalg.inv(np.array(prior.prior_covariance))
