@@ -172,7 +172,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=42,
+    version=43,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -318,8 +318,11 @@ def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, seed
         denied = _distortion_is_denied(prior, weak, matches.stated_6, frames.iloc[matches.frames[0, 0]])
         wrong, undecided = denied and is_better, denied and not is_better
         readout_is_wrong = _readout_is_denied(prior, weak) and bool(np.median(at_weak) < np.median(at_prior))
-        if readout_is_wrong or (wrong and not is_held):
+        if readout_is_wrong or undecided or (wrong and not is_held):
             prior = _loosened(prior, distortion=wrong and not is_held, readout=readout_is_wrong)
+            if undecided:
+                # What leads pairs astray would lead the model, too.
+                prior, is_held = _held(prior), True
             information = np.linalg.inv(np.array(prior.prior_covariance))
             errors = _errors_px(checked, estimate_lens(fitted, start, information).parameters)
         if wrong and is_held:
@@ -382,6 +385,14 @@ def _readout_is_denied(prior: Lens, weak: LensEstimate) -> bool:
         return False
     limit_s = max(_MIN_WRONG_SIGMAS * np.sqrt(weak.covariance[2, 2]), _MIN_WRONG_READOUT_S)
     return bool(abs(weak.parameters[2] - prior.stated_readout_s) > limit_s)
+
+
+def _held(prior: Lens) -> Lens:
+    """A lens whose distortion stays as it is."""
+    covariance = np.array(prior.prior_covariance)
+    covariance[:2, :] = covariance[:, :2] = 0.0
+    covariance[:2, :2] = np.eye(2) / EXACT_INFORMATION
+    return replace(prior, prior_covariance=covariance.tolist(), prior_k3_sd=float(1 / np.sqrt(EXACT_INFORMATION)))
 
 
 def _loosened(prior: Lens, *, distortion: bool, readout: bool) -> Lens:

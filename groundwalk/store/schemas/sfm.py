@@ -102,7 +102,7 @@ TABLES = [
             Column("stated_k2", "float64", "k2 that the capture states; 0: none"),
             Column("origin", "string", "where k1 and k2 are from, before the model adjusts them", choices=CameraOrigin),
             Column("stated_is_wrong", "bool", "the images contradict the stated distortion (docs/explanation/sfm.md)"),
-            Column("stated_is_undecided", "bool", "so they do, but not beyond chance: the stated one is kept"),
+            Column("stated_is_undecided", "bool", "so they do, but not beyond chance: the stated one is held"),
             Column(
                 "stated_readout_s",
                 "float64",

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.lens import distort, rational_of_fisheye
 from groundwalk.geometry.poses import Array, make_pose, relative
+from groundwalk.sfm.cameras import calibration
 from groundwalk.sfm.cameras.calibration import Lens, estimated_lens, lenses_of, prior_lenses
 from groundwalk.sfm.cameras.lens_from_pairs import PairMatches, estimate_lens, sampson_of
 from groundwalk.sfm.settings import SfmSettings
@@ -99,6 +100,16 @@ def test_a_stated_lens_is_kept_or_named_wrong() -> None:
         assert np.allclose(wrong.coefficients[:2], true, atol=0.02)
         assert wrong.held_out_px is not None and wrong.held_out_prior_px is not None
         assert wrong.held_out_px < 0.98 * wrong.held_out_prior_px
+
+
+def test_a_stated_lens_that_held_out_pairs_do_not_deny_beyond_chance_stays_in_the_model_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(calibration, "_MIN_GAIN_SIGMAS", 1e6)
+    kept = _estimated((0.2, -0.4), (0.09, -0.12), 0)
+    assert kept.stated_is_undecided and not kept.stated_is_wrong and kept.origin == CameraOrigin.STATED
+    assert np.allclose(kept.coefficients[:2], (0.2, -0.4), atol=1e-4)
+    assert np.sqrt(np.diag(kept.prior_covariance))[:2].max() < 1e-5 and kept.prior_k3_sd < 1e-5
 
 
 @pytest.mark.parametrize(("true", "is_wrong"), [((0.09, -0.12), True), ((0.0, 0.0), False)])
