@@ -20,7 +20,6 @@ from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, UserError, execute
 from tests.known import there
 
-_SCRIPT = Path(__file__).resolve().parents[2].parent / "shared" / "cases" / "make_cases.py"
 # Those that import doesn't read as it should yet, and Record3D's, which tests of gravity and plausibility are about.
 NOT_YET = {"photos_only", "video_only", "unknown_app", "tum_lists", "rtabmap_export"}
 ELSEWHERE = {"record3d_without_poses", "record3d_relative_to_start"}
@@ -28,9 +27,10 @@ ELSEWHERE = {"record3d_without_poses", "record3d_relative_to_start"}
 
 @pytest.fixture(scope="module")
 def cases(shared_captures: Path) -> ModuleType:
-    if not _SCRIPT.is_file():
+    script = shared_captures.parent / "cases" / "make_cases.py"
+    if not script.is_file():
         pytest.skip("the layouts aren't here: no file ../shared/cases/make_cases.py beside the repository")
-    spec = there(importlib.util.spec_from_file_location("make_cases", _SCRIPT))
+    spec = there(importlib.util.spec_from_file_location("make_cases", script))
     module = importlib.util.module_from_spec(spec)
     there(spec.loader).exec_module(module)
     return module
