@@ -299,10 +299,14 @@ def test_a_map_of_unknown_unit_and_vertical_is_exported_as_such(
     gt = gt.assign(scale_source=scale_source, vertical_source=vertical_source)
     write_table(path, gt, schema("align", "ground_truth"))
     manifest = json.loads((path.parent / "manifest.json").read_text())
-    write_json(path.parent / "manifest.json", manifest | {"outputs": output_hashes(path.parent)})
+    origin = dict(zip("xyz", (4186460.0, 834910.0, 4723430.0), strict=True)) if scale_source != "none" else {}
+    figures = manifest["figures"] | {f"map_origin_{axis}": origin.get(axis) for axis in "xyz"}
+    write_json(path.parent / "manifest.json", manifest | {"outputs": output_hashes(path.parent), "figures": figures})
     out = _export(scene, "nerfstudio", "--images", "copy")
-    world = json.loads((out / "export.json").read_text())["map"]
-    assert world.startswith(unit) and "up unknown" in world
+    note = json.loads((out / "export.json").read_text())
+    assert note["map"].startswith(unit) and "up unknown" in note["map"]
+    assert ("add map_origin" in note["map"]) == bool(origin)
+    assert note["map_origin"] == (list(origin.values()) or None)
     assert {(s.is_metric, s.is_gravity_aligned) for s in _sessions(out)} == {(False, False)}
 
 

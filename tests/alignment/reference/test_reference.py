@@ -212,12 +212,15 @@ def test_the_stage_says_what_gave_scale_and_vertical(data: DataRoot) -> None:
     )
     write_table(folder / "reference.parquet", reference, schema("import", "reference"))
     sessions = read_table(folder / "sessions.parquet", schema("import", "sessions"))
+    origin = {"x": 4186460.0, "y": 834910.0, "z": 4723430.0}
     sessions = sessions.assign(pose_source="reference", reference_unit="m", up="+y")
+    sessions = sessions.assign(**{f"reference_origin_{axis}": value for axis, value in origin.items()})
     write_table(folder / "sessions.parquet", sessions, schema("import", "sessions"))
     out = execute(STAGE, "Place", "tiny", data)
     tables = {t.name: read_table(out / f"{t.name}.parquet", t) for t in stage_tables("align")}
     assert (out / "checks.png").is_file() and (out / "recording.rrd").stat().st_size > 1000
     figures = load_manifest(out)["figures"]
     assert (figures["scale_source"], figures["vertical_source"]) == ("reference", "reference")
+    assert {axis: figures[f"map_origin_{axis}"] for axis in "xyz"} == origin
     assert figures["with_ground_truth"] == 40 and figures["reference_position_rms_m"] < 0.02
     assert len(tables["reference_agreement"]) == 2 and not len(tables["residuals"]) and not len(tables["drift"])
