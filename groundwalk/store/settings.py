@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from groundwalk.store.errors import UserError
 
 # Profiles, scenes and published tables: beside the packages, in the repository as in a wheel (groundwalk/shipped).
-SHIPPED_DATA = Path(__file__).resolve().parent.parent / "shipped"
+SHIPPED_DATA = (Path(__file__).resolve().parent.parent / "shipped").resolve()
 STAGES = ("import", "sfm", "align", "localise", "train", "fuse", "report")
 _SECTIONS = ("simulate", *STAGES)
 _NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}"

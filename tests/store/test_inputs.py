@@ -48,12 +48,12 @@ def data(tmp_path: Path) -> DataRoot:
     walk.mkdir(parents=True)
     (walk / "frame.json").write_text("{}")
     (tmp_path / "profiles").mkdir()
-    (tmp_path / "profiles" / "tiny.toml").write_text("")
+    (tmp_path / "profiles" / "own.toml").write_text("")
     return DataRoot(tmp_path)
 
 
 def run(data: DataRoot, stage: Stage[ExampleSettings], *settings: str) -> Path:
-    return execute(stage, "place", "tiny", data, list(settings))
+    return execute(stage, "place", "own", data, list(settings))
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -80,7 +80,7 @@ def test_results_of_two_imports_never_mix(data: DataRoot) -> None:
     run(data, IMPORT, "text=b")
     with pytest.raises(
         UserError,
-        match=r"(?s)sfm of scene place is outdated: import .*run --scene place --profile tiny --until sfm --data",
+        match=r"(?s)sfm of scene place is outdated: import .*run --scene place --profile own --until sfm --data",
     ):
         run(data, ALIGN)
     run(data, SFM)
@@ -115,7 +115,7 @@ def test_captures_that_change_during_import_are_refused(data: DataRoot) -> None:
 
     with pytest.raises(UserError, match="captures changed"):
         run(data, stage("import", run=change))
-    assert not data.run("tiny", "place", "import").exists()
+    assert not data.run("own", "place", "import").exists()
     with locked(data.captures("place")), pytest.raises(UserError, match="under way"):
         run(data, IMPORT)
 
@@ -163,7 +163,7 @@ def test_images_that_are_swapped_under_a_stage_give_no_artefact(data: DataRoot) 
     for _ in range(2):
         with pytest.raises(UserError, match="2 of 10 images aren't as import saw them"):
             run(data, sfm)
-        assert not data.run("tiny", "place", "sfm").exists()
+        assert not data.run("own", "place", "sfm").exists()
     swap(walk)
     run(data, replace(sfm, run=reading))
 
@@ -177,7 +177,7 @@ def replaced(path: Path) -> None:
     os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
 
 
-@pytest.mark.parametrize("file", ["captures/place/walk/frame.json", "runs/tiny/place/import/weights/one.bin", "named"])
+@pytest.mark.parametrize("file", ["captures/place/walk/frame.json", "runs/own/place/import/weights/one.bin", "named"])
 def test_whatever_a_stage_reads_is_the_same_at_its_end(data: DataRoot, file: str) -> None:
     (data.root / "named").write_text("weights")
     run(data, IMPORT)
@@ -187,7 +187,7 @@ def test_whatever_a_stage_reads_is_the_same_at_its_end(data: DataRoot, file: str
     reads = {"reads_captures": True} if file.startswith("captures") else {"files": lambda settings: ("named",)}
     with pytest.raises(UserError, match=r"changed while stage sfm|isn't as its stage wrote it"):
         run(data, replace(stage("sfm", "import", run=lambda r: replaced(data.root / file)), **reads))
-    assert not data.run("tiny", "place", "sfm").exists()
+    assert not data.run("own", "place", "sfm").exists()
 
 
 def test_captures_stay_while_any_stage_reads(data: DataRoot, tmp_path: Path) -> None:
@@ -208,7 +208,7 @@ def test_captures_stay_while_any_stage_reads(data: DataRoot, tmp_path: Path) -> 
 
 
 def test_real_captures_are_no_reason_to_keep_another_profiles_results(data: DataRoot) -> None:
-    for profile in ("tiny", "demo"):
+    for profile in ("own", "demo"):
         execute(IMPORT, "place", profile, data)
 
     def reading(r: StageRun[ExampleSettings]) -> None:
@@ -288,7 +288,7 @@ def test_a_damaged_checkpoint_is_dropped_with_a_line(
 ) -> None:
     with pytest.raises(KeyboardInterrupt):
         run(data, resumable(kill=True))
-    (data.run("tiny", "place", ".import.partial") / "scratch" / "checkpoint.json").write_text(damage)
+    (data.run("own", "place", ".import.partial") / "scratch" / "checkpoint.json").write_text(damage)
     folder = run(data, resumable(kill=False))
     assert (folder / "answer.bin").read_text() == "42"
     said = capsys.readouterr().err
@@ -300,14 +300,14 @@ def test_a_damaged_key_file_starts_anew(data: DataRoot) -> None:
     for damage in ("", "null", "[]", '{"key": 3}'):
         with pytest.raises(KeyboardInterrupt):
             run(data, resumable(kill=True))
-        (data.run("tiny", "place", ".import.partial") / "key.json").write_text(damage)
+        (data.run("own", "place", ".import.partial") / "key.json").write_text(damage)
         assert (run(data, resumable(kill=False), f"text=x{len(damage)}") / "answer.bin").read_text() == "42"
 
 
 def test_an_error_of_the_user_or_the_machine_keeps_the_checkpoints(data: DataRoot) -> None:
     with pytest.raises(KeyboardInterrupt):
         run(data, resumable(kill=True))
-    checkpoint = data.run("tiny", "place", ".import.partial") / "scratch" / "checkpoint.json"
+    checkpoint = data.run("own", "place", ".import.partial") / "scratch" / "checkpoint.json"
     errors = [UserError("the capture is wrong"), MemoryError()]
     errors += [OSError(number, os.strerror(number), "/x") for number in (errno.ENOSPC, errno.EROFS, errno.EMFILE)]
     for error in errors:

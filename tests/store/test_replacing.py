@@ -31,7 +31,7 @@ def data(tmp_path: Path) -> DataRoot:
     (tmp_path / "data" / "captures" / "place").mkdir(parents=True)
     (tmp_path / "data" / "captures" / "place" / "frame.json").write_text("{}")
     (tmp_path / "data" / "profiles").mkdir()
-    (tmp_path / "data" / "profiles" / "tiny.toml").touch()
+    (tmp_path / "data" / "profiles" / "own.toml").touch()
     return DataRoot(tmp_path / "data")
 
 
@@ -40,7 +40,7 @@ def files_in(folder: Path) -> dict[str, str]:
 
 
 def test_a_note_in_an_artefact_outlives_the_next_run(data: DataRoot) -> None:
-    folder = execute(stage("sfm"), "place", "tiny", data)
+    folder = execute(stage("sfm"), "place", "own", data)
     (folder / "model" / "note.txt").write_text("mine")
 
     def other_files(r: StageRun[NoSettings]) -> None:
@@ -49,10 +49,10 @@ def test_a_note_in_an_artefact_outlives_the_next_run(data: DataRoot) -> None:
         for name in ("model", "colour"):  # where the notes would be
             (r.work / name).write_text("new")
 
-    execute(stage("sfm"), "place", "tiny", data, force=True)
+    execute(stage("sfm"), "place", "own", data, force=True)
     assert files_in(folder)["model/note.txt"] == "mine"
     for _ in range(2):
-        execute(stage("sfm", other_files), "place", "tiny", data, force=True)
+        execute(stage("sfm", other_files), "place", "own", data, force=True)
     names = files_in(folder)
     assert names.pop("manifest.json")
     assert names == {
@@ -65,14 +65,14 @@ def test_a_note_in_an_artefact_outlives_the_next_run(data: DataRoot) -> None:
 
 @pytest.mark.parametrize("killed", ["between the renames", "before the old one is dropped"])
 def test_a_note_outlives_a_kill(data: DataRoot, killed: str) -> None:
-    folder = execute(stage("sfm"), "place", "tiny", data)
+    folder = execute(stage("sfm"), "place", "own", data)
     (folder / "note.txt").write_text("mine")
     folder.rename(folder.with_name(".sfm.old"))
     if killed != "between the renames":
         folder.mkdir()
         for name, text in (("manifest.json", (folder.parent / ".sfm.old" / "manifest.json").read_text()), ("x", "x")):
             (folder / name).write_text(text)
-    execute(stage("sfm"), "place", "tiny", data, force=True)
+    execute(stage("sfm"), "place", "own", data, force=True)
     assert files_in(folder)["note.txt"] == "mine"
     assert not folder.with_name(".sfm.old").exists()
 
@@ -83,7 +83,7 @@ def test_a_stages_folder_that_is_a_link_is_refused_before_its_work(
     data: DataRoot, tmp_path: Path, name: str, hidden: str
 ) -> None:
     """And made once the link is away; a link above it does no harm."""
-    elsewhere, scene = tmp_path / "elsewhere", data.run("tiny", "place")
+    elsewhere, scene = tmp_path / "elsewhere", data.run("own", "place")
     elsewhere.mkdir()
     scene.parent.mkdir(parents=True)
     scene.symlink_to(tmp_path / "disk")
@@ -93,34 +93,34 @@ def test_a_stages_folder_that_is_a_link_is_refused_before_its_work(
     worked: list[StageRun[NoSettings]] = []
     for _ in range(2):
         with pytest.raises(UserError, match=r"(?s)can't be\n.*found: +a link\n.*move it away"):
-            execute(stage(name, worked.append), "place", "tiny", data)
+            execute(stage(name, worked.append), "place", "own", data)
     assert not worked and not any(elsewhere.iterdir())
     link.unlink()
-    execute(stage(name), "place", "tiny", data)
+    execute(stage(name), "place", "own", data)
 
 
 def test_an_artefact_behind_a_link_is_still_read(data: DataRoot, tmp_path: Path) -> None:
-    folder = execute(stage("sfm"), "place", "tiny", data)
+    folder = execute(stage("sfm"), "place", "own", data)
     folder.rename(tmp_path / "elsewhere")
     folder.symlink_to(tmp_path / "elsewhere")
-    assert execute(stage("sfm"), "place", "tiny", data) == folder
+    assert execute(stage("sfm"), "place", "own", data) == folder
 
 
 def test_a_file_or_a_mounted_disk_in_a_folders_place_is_refused_before_the_work(
     data: DataRoot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    place = data.run("tiny", "place", "sfm")
+    place = data.run("own", "place", "sfm")
     place.parent.mkdir(parents=True)
     place.write_text("a file")
     with pytest.raises(UserError, match=r"found: +a file"):
-        execute(stage("sfm", lambda r: pytest.fail("worked")), "place", "tiny", data)
+        execute(stage("sfm", lambda r: pytest.fail("worked")), "place", "own", data)
     with pytest.raises(UserError, match=r"found: +a file"), fresh_folder(place):
         pytest.fail("worked")
     place.unlink()
     place.mkdir()
     monkeypatch.setattr(Path, "is_mount", lambda self: self == place)
     with pytest.raises(UserError, match=r"found: +a disk of its own"):
-        execute(stage("sfm", lambda r: pytest.fail("worked")), "place", "tiny", data)
+        execute(stage("sfm", lambda r: pytest.fail("worked")), "place", "own", data)
 
 
 def test_what_comes_to_an_output_folder_while_it_is_written_anew_stays(tmp_path: Path) -> None:
@@ -172,4 +172,4 @@ def test_a_folder_that_cannot_be_synced_is_left_to_its_drive(data: DataRoot, mon
         fsync(descriptor)
 
     monkeypatch.setattr("os.fsync", of_files_alone)
-    assert files_in(execute(stage("sfm"), "place", "tiny", data))["model/points.bin"] == "points"
+    assert files_in(execute(stage("sfm"), "place", "own", data))["model/points.bin"] == "points"

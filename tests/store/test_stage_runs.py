@@ -43,7 +43,7 @@ def dying_rename(self, target):
 Path.rename = dying_rename
 from tests.store import test_stage_runs
 test_stage_runs.DIE = die
-execute(STAGE, "place", "tiny", DataRoot(Path(sys.argv[1])), sys.argv[3:])
+execute(STAGE, "place", "own", DataRoot(Path(sys.argv[1])), sys.argv[3:])
 """
 
 
@@ -81,7 +81,7 @@ def place(root: Path) -> DataRoot:
     captures.mkdir(parents=True)
     (captures / "frame.json").write_text("{}")
     (root / "profiles").mkdir()
-    (root / "profiles" / "tiny.toml").write_text("")
+    (root / "profiles" / "own.toml").write_text("")
     return DataRoot(root)
 
 
@@ -95,28 +95,28 @@ def table_bytes(folder: Path) -> bytes:
 
 
 def test_second_run_does_nothing_and_a_change_runs_again(data: DataRoot, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = execute(STAGE, "place", "tiny", data)
+    folder = execute(STAGE, "place", "own", data)
     first = load_manifest(folder)
     assert first["figures"] == {"rows counted here": 3}
     assert set(first["outputs"]) == {"true_poses.parquet"}
     assert first["simulated"] is False
     assert not (folder / "scratch").exists()
 
-    execute(STAGE, "place", "tiny", data)
+    execute(STAGE, "place", "own", data)
     assert "up to date" in capsys.readouterr().err
     assert load_manifest(folder) == first
 
-    execute(STAGE, "place", "tiny", data, ["rows=4"])
+    execute(STAGE, "place", "own", data, ["rows=4"])
     assert load_manifest(folder)["key"] != first["key"]
     (data.captures("place") / "walk" / "frame.json").write_text("{ }")
     before = load_manifest(folder)["key"]
-    execute(STAGE, "place", "tiny", data, ["rows=4"])
+    execute(STAGE, "place", "own", data, ["rows=4"])
     assert load_manifest(folder)["key"] != before
     # The simulator's truth is no input of any stage.
     for name in ("true_poses", "true_cameras"):
         (data.captures("place") / f"{name}.parquet").write_text("truth")
     before = load_manifest(folder)["key"]
-    execute(STAGE, "place", "tiny", data, ["rows=4"])
+    execute(STAGE, "place", "own", data, ["rows=4"])
     assert load_manifest(folder)["key"] == before
 
 
@@ -135,8 +135,8 @@ MOMENTS = [
 @pytest.mark.parametrize("moment", MOMENTS)
 def test_killed_run_leaves_nothing_half_and_goes_on(data: DataRoot, tmp_path: Path, moment: str) -> None:
     untouched = place(tmp_path / "reference")
-    expected = table_bytes(execute(STAGE, "place", "tiny", untouched, ["offset=1"]))
-    folder = execute(STAGE, "place", "tiny", data)
+    expected = table_bytes(execute(STAGE, "place", "own", untouched, ["offset=1"]))
+    folder = execute(STAGE, "place", "own", data)
     old = table_bytes(folder)
 
     command = [sys.executable, "-c", PROGRAM, str(data.root), moment, "offset=1"]
@@ -146,42 +146,42 @@ def test_killed_run_leaves_nothing_half_and_goes_on(data: DataRoot, tmp_path: Pa
         assert table_bytes(folder) in (old, expected)
         assert json.loads((folder / "manifest.json").read_text())["outputs"]
 
-    execute(STAGE, "place", "tiny", data, ["offset=1"])
+    execute(STAGE, "place", "own", data, ["offset=1"])
     assert table_bytes(folder) == expected
     hidden = [p.name for p in folder.parent.iterdir() if p.name.startswith(".") and not p.name.endswith(".lock")]
     assert hidden == []
 
 
 def test_a_failing_stage_keeps_the_old_artefact(data: DataRoot) -> None:
-    folder = execute(STAGE, "place", "tiny", data)
+    folder = execute(STAGE, "place", "own", data)
     before = table_bytes(folder)
 
     def fail(r: StageRun[ExampleSettings]) -> None:
         raise UserError("no luck")
 
     with pytest.raises(UserError, match="no luck"):
-        execute(Stage("simulate", 2, ExampleSettings, (), fail, "", reads_captures=True), "place", "tiny", data)
+        execute(Stage("simulate", 2, ExampleSettings, (), fail, "", reads_captures=True), "place", "own", data)
     assert table_bytes(folder) == before
 
 
 def test_missing_inputs_are_named_and_leave_no_folder(data: DataRoot) -> None:
-    with pytest.raises(UserError, match="run --scene elsewhere --profile tiny --captures <your folder> --data "):
-        execute(STAGE, "elsewhere", "tiny", data)
+    with pytest.raises(UserError, match="run --scene elsewhere --profile own --captures <your folder> --data "):
+        execute(STAGE, "elsewhere", "own", data)
     needs_sfm = Stage("align", 1, ExampleSettings, ("sfm",), run_example, "")
     with pytest.raises(UserError, match="stage sfm of scene place hasn't been run"):
-        execute(needs_sfm, "place", "tiny", data)
+        execute(needs_sfm, "place", "own", data)
     with pytest.raises(UserError, match="group of scenes"):
-        execute(STAGE, "outdoor", "tiny", data)
+        execute(STAGE, "outdoor", "own", data)
     assert not (data.root / "runs").exists()
 
 
 def test_two_runs_of_a_stage_keep_apart(data: DataRoot) -> None:
     def run_inside(r: StageRun[ExampleSettings]) -> None:
         with pytest.raises(UserError, match="under way"):
-            execute(STAGE, "place", "tiny", data)
+            execute(STAGE, "place", "own", data)
         run_example(r)
 
-    execute(Stage("simulate", 1, ExampleSettings, (), run_inside, "", reads_captures=True), "place", "tiny", data)
+    execute(Stage("simulate", 1, ExampleSettings, (), run_inside, "", reads_captures=True), "place", "own", data)
 
 
 def test_a_setting_goes_where_an_error_says(data: DataRoot, capsys: pytest.CaptureFixture[str]) -> None:
@@ -195,9 +195,9 @@ def test_a_setting_goes_where_an_error_says(data: DataRoot, capsys: pytest.Captu
 
     stage = Stage("simulate", 1, ExampleSettings, (), refuse_many, "An example.", reads_captures=True)
     with pytest.raises(UserError, match="too many rows") as caught:
-        execute(stage, "place", "tiny", data)
+        execute(stage, "place", "own", data)
     assert f"limit 2 ([simulate] rows in {data.root}/scenes/place.toml)" in capsys.readouterr().err
     ((section, setting, file),) = re.findall(r"set (\[.*\]) (.*) in (.*)$", str(caught.value))
     (data.root / "scenes").mkdir()
     Path(file).write_text(f"{section}\n{setting}")
-    execute(stage, "place", "tiny", data)
+    execute(stage, "place", "own", data)
