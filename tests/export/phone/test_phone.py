@@ -276,7 +276,7 @@ def test_what_stays_in_float32_is_stored_in_8_bits(
     assert not quantisation.write_int8(fp32, int8, tensors, held_out).refusal
     assert int8.stat().st_size < 0.3 * fp32.stat().st_size
     answers = [open_session(file).run(["position"], {"image": tensors[0]})[0] for file in (fp32, int8)]
-    assert np.abs(answers[0] - answers[1]).max() < 0.05 * np.abs(answers[0]).max()
+    assert np.abs(answers[0] - answers[1]).max() < 0.1 * np.abs(answers[0]).max()
 
 
 def test_core_ml_is_left_out_with_a_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
