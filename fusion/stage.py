@@ -63,7 +63,7 @@ def _made_here(r: StageRun[FuseSettings], leaf: str) -> frozenset[str]:
 
 STAGE = Stage(
     name="fuse",
-    version=29,
+    version=30,
     settings=FuseSettings,
     needs=("import", "align", "localise", "train"),
     run=run,

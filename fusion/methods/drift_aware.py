@@ -35,7 +35,7 @@ from groundwalk.fusion.methods.estimator.error_covariance import (
     whitening,
     whitening_of_covariance,
 )
-from groundwalk.fusion.methods.estimator.fit import DIMENSIONS, Belief, Fit, innovation, iterate
+from groundwalk.fusion.methods.estimator.fit import DOF, Belief, Fit, innovation, iterate
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality, expected_variances
 from groundwalk.fusion.methods.estimator.odometry_step import CERTAIN, OdometryStep
@@ -61,7 +61,7 @@ _SIDE_TURN, _SIDE_TURN_COUNT = 0.7, 20.0  # correlation of errors to the side wi
 # covariances, and seen beside odometry.
 _SIZE_COUNT, _SIZE_COUNT_KNOWN, _SIZE_COUNT_STATED, _SIZE_COUNT_SEEN = 0.3, 20.0, 10.0, 2.0
 _AXIS_COUNT, _AXIS_COUNT_STATED = 10.0, 100.0  # predictions that errors' being as large along each axis counts as
-_JITTER_DEG, _JITTER_M = 0.1, 0.002  # of odometry's pose of one frame: real captures' VIO against their images
+_JITTER_DEG, _JITTER_M = 0.1, 0.003  # of odometry's pose of one frame: real captures' VIO against their images
 _NOTHING = np.zeros(4)
 _LEAST_DRIFT = np.array([1e-8, 1e-8, 1e-8, 1e-10])
 _SETTLING = 20
@@ -458,16 +458,22 @@ class DriftAware(Localiser):
         """The pose and its covariance after the frame's own prediction: of the frame's pose odometry knows no more than
         up to its jitter, and a prediction may know it better."""
         assert self._apr_covariance is not None and self._last is not None
-        of_prediction = self._common_factor / min(float(self._last.weights[-1]), 1.0) * self._apr_covariance
+        scale = self._common_factor(self._apr_covariance) / min(float(self._last.weights[-1]), 1.0)
+        of_prediction = scale * self._apr_covariance
         gain = self._jitter @ np.linalg.inv(self._jitter + of_prediction)
         step = gain @ pose_error(map_T_cam, map_T_cam_apr)
         rotation = Rotation.from_rotvec(step[:3]).as_matrix() @ map_T_cam[:3, :3]
-        return make_pose(rotation, map_T_cam[:3, 3] + step[3:]), covariance - gain @ self._jitter
+        # The state has followed the prediction already, so what it is off by doesn't average out. Student's t of so few
+        # degrees of freedom has a larger covariance than its scale says.
+        tails = (DOF / (DOF - 2) - 1) * gain @ of_prediction @ gain.T
+        return make_pose(rotation, map_T_cam[:3, 3] + step[3:]), covariance - gain @ self._jitter + tails
 
-    @property
-    def _common_factor(self) -> float:
-        """What predictions' own covariances are to be multiplied by."""
-        return float(self._covariance.trace()) / DIMENSIONS
+    def _common_factor(self, stated: Array) -> float:
+        """What predictions' own covariances (6, 6) are to be multiplied by: errors were learnt together with odometry's
+        jitter, beside which a small covariance can't be shown to be too large."""
+        learnt = float(self._covariance[3:, 3:].trace()) / 3
+        variance, jitter = (float(matrix[3:, 3:].trace()) for matrix in (stated, self._jitter))
+        return max(1.0, (learnt * (variance + jitter) - jitter) / variance)
 
     def _without_odometry(self, map_T_cam_apr: Array | None) -> Estimate:
         """The prediction by itself."""
@@ -480,7 +486,7 @@ class DriftAware(Localiser):
             size = sizes_expected(expected)
             pose = make_pose(yaw_rotation(-expected.error[0]) @ pose[:3, :3], pose[:3, 3] - expected.error[1:])
         if self._apr_covariance is not None:
-            covariance = self._common_factor * self._apr_covariance
+            covariance = self._common_factor(self._apr_covariance) * self._apr_covariance
         else:
             sd = size * np.sqrt(self._covariance.diagonal())
             turn = np.kron(np.eye(2), pose[:3, :3])

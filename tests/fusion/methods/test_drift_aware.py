@@ -364,7 +364,7 @@ def test_a_structure_localiser_is_hardly_made_worse_and_the_bounds_hold() -> Non
     (position_p95, position), (rotation_p95, rotation) = np.mean(ratios, axis=0)
     assert position_p95 < 1.06 and position < 1.0, (position_p95, position)  # 1.03, 0.97
     assert rotation_p95 < 1.03 and rotation < 1.0, (rotation_p95, rotation)  # 1.00, 0.97
-    assert (np.mean(inside, axis=0) > 0.85).all(), inside
+    assert (np.mean(inside, axis=0) > 0.85).all(), inside  # 0.90, 0.96
 
 
 def test_a_localiser_that_is_better_than_odometrys_single_poses_is_not_made_worse() -> None:
