@@ -47,8 +47,8 @@ def test_poses_relative_to_the_first_camera_have_no_gravity(tmp_path: Path, caps
     write_record3d(place / "other", make_walk(seed=1))
     sessions, frames = run(tmp_path)
     by_id = sessions.set_index("session_id")
-    assert by_id.loc["walk", ["up", "up_source"]].tolist() == ["unknown", "start pose"]
-    assert by_id.loc["other", ["up", "up_source"]].tolist() == ["+y", "format"]
+    assert [*by_id.loc["walk", ["up", "up_source"]]] == ["unknown", "start pose"]
+    assert [*by_id.loc["other", ["up", "up_source"]]] == ["+y", "format"]
     unknown = frames["session_id"] == "walk"
     assert frames.loc[unknown, GRAVITY].isna().all(axis=None) and frames.loc[~unknown, GRAVITY].notna().all(axis=None)
     assert "walk: gravity unknown: the first pose lies exactly along the world's axes" in capsys.readouterr().err

@@ -118,9 +118,9 @@ def test_a_georeferenced_data_set_comes_in_near_its_origin(tmp_path: Path) -> No
     (root / "transforms.json").write_text(json.dumps(content))
     lines = [line for line in inspect_capture(root) if "reference_origin_x" in line]
     assert len(lines) == 2 and "(4186460, 834910, 4723430) of the data set's own coordinates" in lines[0]
-    folder = execute(STAGE, "place", "tiny", DataRoot(tmp_path))
-    origins = pd.read_parquet(folder / "sessions.parquet")[[f"reference_origin_{axis}" for axis in "xyz"]]
+    finished = execute(STAGE, "place", "tiny", DataRoot(tmp_path))
+    origins = pd.read_parquet(finished / "sessions.parquet")[[f"reference_origin_{axis}" for axis in "xyz"]]
     assert origins.to_numpy().tolist() == [[4186460.0, 834910.0, 4723430.0]] * 2
-    reference = pd.read_parquet(folder / "reference.parquet")
+    reference = pd.read_parquet(finished / "reference.parquet")
     centres = poses_of(reference, "map_cam")[:, :3, 3] + origins.to_numpy()[0]
     assert len(reference) and np.abs(centres - ECEF).max() < 10
