@@ -45,12 +45,14 @@ endif
 endif
 
 # ---------------------------------------------------------------- installation
-# One lock file for every platform: constraints.txt pins each package that pip resolves.
-$(installed): pyproject.toml constraints.txt
+# constraints.txt pins each package on every platform. hashes.txt has their hashes, but for torch and the CUDA packages that
+# it brings, which indexes build on their own; pip takes no hashes of constraints, so these come first.
+$(installed): pyproject.toml constraints.txt hashes.txt
 	@echo "Installing into .venv (4.1 GB, a few minutes; once)"
 	@$(python) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "error: Python 3.11 or later is needed, found $$($(python) --version); name one: make python=python3.12 ..."; exit 2; }
 	@$(python) -m venv .venv
+	@.venv/bin/pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r hashes.txt
 	@.venv/bin/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
@@ -170,8 +172,10 @@ docs-site: $(installed) ## Build the documentation as a site, strictly, into bui
 	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet --strict
 	@echo "Look at build/site/index.html"
 
-lock: ## Resolve the dependencies again into constraints.txt (needs uv)
+lock: ## Resolve the dependencies again into constraints.txt and hashes.txt (needs uv)
 	uv pip compile --universal --extra dev --python-version 3.11 --no-annotate --upgrade pyproject.toml -o constraints.txt
+	grep -vE '^(torch|triton|cuda-|nvidia-)' constraints.txt | uv pip compile --universal --no-deps --python-version 3.11 \
+		--no-annotate --no-header --generate-hashes - -o hashes.txt
 
 help: ## This text
 	@echo "make scene=<scene> [profile=demo|standard|paper|tiny] [captures=<folder>] <target>"

@@ -19,7 +19,7 @@ from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.segments import Segment
 from groundwalk.consistency.windows import PoseSd, fit_rigid
 from groundwalk.geometry.poses import Array, transform
-from groundwalk.store.recording import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
+from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
 
 _MAX_SESSIONS = 8
 _INCHES = 3.2

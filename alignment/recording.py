@@ -11,7 +11,8 @@ from groundwalk.alignment.settings import AlignSettings
 from groundwalk.geometry.poses import Array, quaternion_from_matrix, transform
 from groundwalk.store import StageRun
 from groundwalk.store.choices import QualityClass
-from groundwalk.store.recording import GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
+from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
+from groundwalk.store.recording import UP_AXIS, log_camera, log_path
 
 _QUALITY_COLOURS = {QualityClass.A: GROUND_TRUTH, QualityClass.B: (110, 200, 170), QualityClass.C: NEUTRAL}
 # Sessions in the residuals' two plots; grey, green and orange mean something else.

@@ -30,7 +30,7 @@ from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.poses import Array
-from groundwalk.store import Stage, StageRun
+from groundwalk.store import StageRun
 from groundwalk.store.choices import DriftDefinition, QualityClass, ScaleSource, UpSource, VerticalSource
 from groundwalk.store.tables import dataset_frames, with_cameras
 
@@ -253,16 +253,3 @@ def _over_5m(drift: pd.DataFrame, statistic: str) -> float | None:
 
 def _or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-STAGE = Stage(
-    name="align",
-    version=19,
-    settings=AlignSettings,
-    needs=("import", "sfm"),
-    run=run,
-    help="Ground truth: SfM's model put into a metric map with +y up, checked against the phones' VIO. Metric scale "
-    "and vertical come from all sessions together; writes each frame's pose with covariance and quality, where each "
-    "session's VIO frame lies, how VIO drifts, and the consistency checks.",
-    reads_images=lambda settings: bool(settings.rulers),
-)

@@ -42,20 +42,20 @@ from benchmarks.gates_breaking import (
 from benchmarks.gates_captures import CORRIDOR, Capture, write_capture
 from benchmarks.results import circumstances_of, markdown_table
 from groundwalk.alignment.check_truth import true_poses_of
-from groundwalk.alignment.stage import STAGE as ALIGN
-from groundwalk.capture_import.stage import STAGE as IMPORT
+from groundwalk.alignment.definition import STAGE as ALIGN
+from groundwalk.capture_import.definition import STAGE as IMPORT
 from groundwalk.consistency.motions import MIRRORED, MISTAKE_REASONS, UNRELATED, UPSIDE_DOWN
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import Sim3, fit_robust, fit_sim3, fit_yaw
 from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import position_error, rotation_error_deg
-from groundwalk.sfm.stage import STAGE as SFM
+from groundwalk.sfm.definition import STAGE as SFM
 from groundwalk.store import DataRoot, Stage, UserError, execute
+from groundwalk.store.checkout import git_revision
 from groundwalk.store.choices import FailureCause
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
-from groundwalk.store.stage import git_revision
 from groundwalk.store.tables import poses_of, read_table
 
 PROFILE = "tiny"

@@ -24,8 +24,8 @@ import typer
 
 from benchmarks.import_captures import write_images, write_video
 from benchmarks.stages import measure
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.media.images import WORKING_LONG_SIDE, decode_gray
-from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, execute
 from groundwalk.store.cli import new_app
 from groundwalk.store.cores import usable_cores

@@ -41,11 +41,11 @@ from groundwalk.localisation.query import MapLocaliser
 from groundwalk.localisation.stage import errors_of
 from groundwalk.scoring.errors import BOUND_95, normalised_squares, pose_error
 from groundwalk.store import DataRoot, UserError
+from groundwalk.store.checkout import git_revision
 from groundwalk.store.choices import Appearance
 from groundwalk.store.cli import new_app
 from groundwalk.store.images import image_file, read_grey_image
 from groundwalk.store.parallel import one_thread
-from groundwalk.store.stage import git_revision
 
 app = new_app(__doc__ or "")
 

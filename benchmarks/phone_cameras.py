@@ -38,9 +38,9 @@ from benchmarks.groundtruth_inputs import (
 from benchmarks.results import circumstances_of, markdown_table
 from benchmarks.stages import run_timed
 from benchmarks.stock import stock_command, stock_poses
-from groundwalk.capture_import.stage import STAGE as IMPORT
+from groundwalk.capture_import.definition import STAGE as IMPORT
+from groundwalk.sfm.definition import STAGE as SFM
 from groundwalk.sfm.settings import SfmSettings
-from groundwalk.sfm.stage import STAGE as SFM
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import load_manifest

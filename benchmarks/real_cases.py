@@ -39,9 +39,9 @@ from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.choices import FailureCause
 from groundwalk.store.files import write_json
+from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import resolve_settings
-from groundwalk.store.stage import load_manifest
 from groundwalk.store.tables import read_table
 
 PROFILE = "demo"

@@ -19,8 +19,8 @@ from groundwalk.scoring.errors import relative_error
 from groundwalk.sfm.database import image_id
 from groundwalk.sfm.model import load_models
 from groundwalk.store import DataRoot
+from groundwalk.store.manifests import MANIFEST, load_manifest
 from groundwalk.store.schemas import schema
-from groundwalk.store.stage import MANIFEST, load_manifest
 from groundwalk.store.tables import poses_of, read_table
 
 OURS, STOCK, RATIO, VIO_WAY = "ours", "stock", "ours / stock", "VIO"

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.real_figures import Paths, Placed, placed_alone
-from groundwalk.store.recording import GROUND_TRUTH, NEUTRAL, VIO
+from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, VIO
 
 _INCHES = 3.0
 _COLOURS = {name: tuple(c / 255 for c in colour) for name, colour in (

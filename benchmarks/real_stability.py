@@ -13,7 +13,7 @@ import pandas as pd
 from benchmarks.real_cases import PROFILE, Case, run_stages
 from benchmarks.real_figures import PASSED, Finished, Verdict
 from groundwalk.store import DataRoot
-from groundwalk.store.stage import git_revision
+from groundwalk.store.checkout import git_revision
 
 WHOLE = "whole"
 _ALL = ('sampling="all"',)

@@ -18,9 +18,9 @@ from benchmarks.stock import largest_model
 from groundwalk.geometry.lens import undistort
 from groundwalk.geometry.poses import Array, path_length
 from groundwalk.sfm.model import load_models
+from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, VIO
 from groundwalk.store.images import read_grey_image
 from groundwalk.store.parallel import in_parallel
-from groundwalk.store.recording import GROUND_TRUTH, NEUTRAL, VIO
 from groundwalk.store.tables import poses_of
 
 SPREAD = "directions of walls, 5th to 95th percentile"

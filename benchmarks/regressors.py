@@ -25,10 +25,10 @@ from benchmarks.results import circumstances, markdown_table
 from benchmarks.stages import measure
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
 from groundwalk.store import DataRoot, UserError
+from groundwalk.store.checkout import git_revision
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import MANIFEST
 from groundwalk.store.schemas import schema
-from groundwalk.store.stage import git_revision
 from groundwalk.store.tables import poses_of, read_table
 
 app = new_app(__doc__ or "")

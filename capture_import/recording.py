@@ -19,8 +19,9 @@ from groundwalk.capture_import.tables import printable
 from groundwalk.geometry.poses import Array, transform
 from groundwalk.geometry.rows import evenly
 from groundwalk.store.choices import PoseSource, Tracking
+from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
 from groundwalk.store.parallel import in_parallel
-from groundwalk.store.recording import GROUND_TRUTH, NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, set_time
+from groundwalk.store.recording import TIMELINE, UP_AXIS, set_time
 from groundwalk.store.tables import dataset_frames
 
 _TRACKING_COLOURS = {

@@ -19,7 +19,6 @@ from groundwalk.capture_import.checks.plausibility import MAX_SPEED_M_S, plausib
 from groundwalk.capture_import.checks.scan import ImageScan, LoadGray, load_gray
 from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
-from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.intake import ImportedSession, Intake, Scan, measures, take_in
 from groundwalk.capture_import.media.blurring import CascadeDetector, Detector
 from groundwalk.capture_import.media.depth import place_depths
@@ -41,7 +40,7 @@ from groundwalk.capture_import.tables import (
     sessions_table,
     vio_table,
 )
-from groundwalk.store import Stage, StageRun, UserError
+from groundwalk.store import StageRun, UserError
 from groundwalk.store.choices import ImageSide
 from groundwalk.store.files import write_json
 from groundwalk.store.hints import groundwalk_command, setting_of
@@ -419,15 +418,3 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
     r.figure("blurred_images", images)
     r.figure("blurred_faces", faces)
     r.figure("blurred_plates", plates)
-
-
-STAGE = Stage(
-    name="import",
-    version=17,
-    settings=ImportSettings,
-    needs=(),
-    run=run,
-    help="Import: phone captures to frames with intrinsics and VIO poses.",
-    reads_captures=True,
-    plugins=lambda settings: FORMATS.versions(FORMATS if settings.format == "auto" else [settings.format]),
-)

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
+from groundwalk.fusion.definition import STAGE
 from groundwalk.fusion.evaluation.leaderboard_report import run_leaderboard
 from groundwalk.fusion.files.tables import Files, evaluate_files, sweep_files
-from groundwalk.fusion.stage import STAGE
 from groundwalk.store.cli import SetOption, stage_app
 
 app = stage_app(STAGE)

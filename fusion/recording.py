@@ -13,7 +13,7 @@ from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.methods.localiser import Status
 from groundwalk.fusion.walk import known
 from groundwalk.geometry.poses import Array, quaternion_from_matrix
-from groundwalk.store import recording as colours
+from groundwalk.store import colours
 from groundwalk.store.recording import TIMELINE, UP_AXIS, log_path
 
 FRAME_TIMELINE = "frame"  # sessions one after the other, however far apart their clocks

@@ -2,10 +2,10 @@
 
 import pandas as pd
 
-from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate, report_lines, stacked
-from groundwalk.fusion.methods import METHODS
+from groundwalk.fusion.evaluation.evaluate import Inputs, evaluate, report_lines, stacked
 from groundwalk.fusion.recording import blueprint, record
-from groundwalk.store import Stage, StageRun, UserError
+from groundwalk.fusion.settings import FuseSettings
+from groundwalk.store import StageRun, UserError
 from groundwalk.store.hints import setting_of
 
 
@@ -59,15 +59,3 @@ def _made_here(r: StageRun[FuseSettings], leaf: str) -> frozenset[str]:
     cards = stacked([r.read("train", "models", scene=leaf), *([r.read("train", "models")] if group else [])])
     built = r.read("localise", "models", scene=leaf)["model"]
     return frozenset(cards.loc[cards["file"] != "", "model"]) | frozenset(built)
-
-
-STAGE = Stage(
-    name="fuse",
-    version=30,
-    settings=FuseSettings,
-    needs=("import", "align", "localise", "train"),
-    run=run,
-    help="Fuse regressors' and structure localisers' predictions with odometry, and measure every method against the "
-    "ground truth.",
-    plugins=lambda settings: METHODS.versions(settings.methods),
-)

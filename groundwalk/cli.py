@@ -46,7 +46,7 @@ class Command:
 
 
 def _stage(name: str, package: str, help_text: str) -> Command:
-    return Command(name, help_text, f"{package}.stage", is_stage=True)
+    return Command(name, help_text, f"{package}.definition", is_stage=True)
 
 
 COMMANDS = {

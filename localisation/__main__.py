@@ -1,6 +1,6 @@
 """Command line of the localise stage."""
 
-from groundwalk.localisation.stage import STAGE
+from groundwalk.localisation.definition import STAGE
 from groundwalk.store.cli import stage_app
 
 app = stage_app(STAGE)

@@ -2,15 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.features.sift import Features
-from groundwalk.localisation.matching import SIFT_RATIO
 from groundwalk.store.registry import Lazy
 
+if TYPE_CHECKING:
+    from groundwalk.features.sift import Features
+
 Size = tuple[int, int]
+SIFT_RATIO = 0.85
 
 
 @dataclass(frozen=True)
@@ -25,8 +28,8 @@ class FeatureKind:
 
     id: str
     ratio: float
-    extract: Callable[[NDArray[np.uint8], int, int], Features] = field(repr=False)
-    match: Callable[[Features, Features, Size, Size], NDArray[np.int64]] = field(repr=False)
+    extract: "Callable[[NDArray[np.uint8], int, int], Features]" = field(repr=False)
+    match: "Callable[[Features, Features, Size, Size], NDArray[np.int64]]" = field(repr=False)
 
 
 SIFT = FeatureKind(

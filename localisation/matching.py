@@ -5,10 +5,10 @@ from numpy.typing import NDArray
 
 from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
+from groundwalk.localisation.feature_kinds import SIFT_RATIO
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]
-SIFT_RATIO = 0.85
 _DEPTHS = 3
 _SAMPLES = 5
 

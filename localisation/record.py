@@ -13,16 +13,9 @@ from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
 from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.localisers import LOCALISERS
+from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED
 from groundwalk.store.images import read_image
-from groundwalk.store.recording import (
-    GROUND_TRUTH,
-    NEUTRAL,
-    REJECTED,
-    UP_AXIS,
-    log_camera,
-    log_path,
-    set_time,
-)
+from groundwalk.store.recording import UP_AXIS, log_camera, log_path, set_time
 from groundwalk.store.tables import poses_of
 
 _FRAMES = "frame"

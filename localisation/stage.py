@@ -23,7 +23,7 @@ from groundwalk.localisation.record import blueprint, record
 from groundwalk.localisation.settings import LocaliseSettings
 from groundwalk.scoring.errors import position_error, rotation_error_deg, sure_enough
 from groundwalk.scoring.scores import score
-from groundwalk.store import Stage, StageRun, UserError
+from groundwalk.store import StageRun, UserError
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.cores import usable_cores
 from groundwalk.store.files import written_aside
@@ -283,17 +283,3 @@ def prediction_rows(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFr
     keys = queries[["frame_id", "session_id", "split", "t_ns"]]
     table = pd.concat([keys, pose_frame("map_cam", poses), answers], axis=1)
     return table.assign(model=name, scene=r.scene.name, picked_scene=r.scene.name)
-
-
-STAGE = Stage(
-    name="localise",
-    version=5,
-    settings=LocaliseSettings,
-    needs=("import", "sfm", "align"),
-    run=run,
-    help="Build maps of points from the training frames, and localise the other frames in them. A group of scenes has "
-    "its scenes' maps.",
-    plugins=lambda settings: LOCALISERS.versions(settings.models),
-    reads_images=lambda settings: True,
-    space_bytes=lambda settings, frames: (32 << 20) + frames * (50_000 + 300 * settings.max_features),
-)

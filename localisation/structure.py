@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.features.sift import Features
+from groundwalk.localisation.feature_kinds import SIFT_RATIO
 from groundwalk.localisation.features import unit
 from groundwalk.localisation.frames import Views, rays
-from groundwalk.localisation.matching import SIFT_RATIO, covisible_pairs, mutual_matches
+from groundwalk.localisation.matching import covisible_pairs, mutual_matches
 from groundwalk.localisation.tracks import Points, Rays, epipolar_error_px, tracks, triangulate
 from groundwalk.store.parallel import in_parallel
 

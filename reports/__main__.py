@@ -1,6 +1,6 @@
 """`python -m groundwalk.reports`."""
 
-from groundwalk.reports.stage import STAGE
+from groundwalk.reports.definition import STAGE
 from groundwalk.store.cli import stage_app
 
 app = stage_app(STAGE)

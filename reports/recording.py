@@ -6,7 +6,7 @@ import rerun.blueprint as rrb
 
 from groundwalk.reports.grids import Grid, markdown
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.store import recording
+from groundwalk.store import colours, recording
 from groundwalk.store.tables import poses_of
 
 
@@ -36,17 +36,17 @@ def record(stream: rr.RecordingStream, scenes: list[SceneInputs], grids: list[Gr
         truth = scene.ground_truth[scene.ground_truth["split"] == "test"].sort_values(["session_id", "t_ns"])
         for session_id, walk in truth.groupby("session_id"):
             path = f"{scene.name}/map/ground_truth/{session_id}"
-            recording.log_path(stream, path, poses_of(walk, "map_cam")[:, :3, 3], recording.GROUND_TRUTH)
+            recording.log_path(stream, path, poses_of(walk, "map_cam")[:, :3, 3], colours.GROUND_TRUTH)
         for model in scene.models:
             _walks(stream, scene, model)
 
 
 def _walks(stream: rr.RecordingStream, scene: SceneInputs, model: str) -> None:
     raw = scene.predictions[scene.predictions["model"] == model]
-    kinds = [("apr", raw, scene.raw_errors(model), "apr", recording.APR)]
+    kinds = [("apr", raw, scene.raw_errors(model), "apr", colours.APR)]
     if scene.fused_method is not None:
         fused = scene.fused_poses(model, scene.fused_method)
-        kinds.append(("fused", fused, scene.frame_errors(model), "live", recording.FUSED))
+        kinds.append(("fused", fused, scene.frame_errors(model), "live", colours.FUSED))
     for kind, table, every, prefix, colour in kinds:
         errors = every[every["split"] == "test"].sort_values(["session_id", "t_ns"])
         group = "live_map_cam" if prefix == "live" else "map_cam"

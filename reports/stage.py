@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pandas as pd
-from pydantic import Field
 
 from groundwalk.reports import cells, details, page, style
 from groundwalk.reports.checks import AGREES, as_table, check_tables
+from groundwalk.reports.definition import ReportSettings
 from groundwalk.reports.figures import scene_figures
 from groundwalk.reports.grids import OURS, Grid, html_table, latex, markdown
 from groundwalk.reports.inputs import SceneInputs, read_scene
@@ -14,13 +14,7 @@ from groundwalk.reports.published import load_claims, load_published
 from groundwalk.reports.recording import blueprint, record
 from groundwalk.reports.run_checks import run_findings
 from groundwalk.reports.tables import Tables
-from groundwalk.store import Settings, Stage, StageRun
-
-
-class ReportSettings(Settings):
-    """Settings of the report stage."""
-
-    published: bool = Field(True, description="print the paper's numbers beside ours where it has the same scene")
+from groundwalk.store import StageRun
 
 
 def run(r: StageRun[ReportSettings]) -> None:
@@ -113,14 +107,3 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
         for value, what, more in section.headline:
             r.say(f"{scene.name}: {what}: {value} ({more})")
     r.say(f"page: {r.data.run(r.profile, r.scene.name, 'report') / 'page.html'}")
-
-
-STAGE = Stage(
-    name="report",
-    version=16,
-    settings=ReportSettings,
-    reads_shipped=("published",),
-    needs=("import", "sfm", "align", "localise", "train", "fuse"),
-    run=run,
-    help="Report: Tables I to IV beside the paper's numbers, all methods over all frames, figures, checks, a page.",
-)

@@ -15,19 +15,19 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from groundwalk.store import recording
+from groundwalk.store import colours
 
 
 def _hex(rgb: tuple[int, int, int]) -> str:
     return "#{:02x}{:02x}{:02x}".format(*rgb)
 
 
-GROUND_TRUTH = _hex(recording.GROUND_TRUTH)
-VIO = _hex(recording.VIO)
-APR = _hex(recording.APR)
-FUSED = _hex(recording.FUSED)
-REJECTED = _hex(recording.REJECTED)
-NEUTRAL = _hex(recording.NEUTRAL)
+GROUND_TRUTH = _hex(colours.GROUND_TRUTH)
+VIO = _hex(colours.VIO)
+APR = _hex(colours.APR)
+FUSED = _hex(colours.FUSED)
+REJECTED = _hex(colours.REJECTED)
+NEUTRAL = _hex(colours.NEUTRAL)
 # Told apart in grey print and by colour-blind readers; for quantities, not for kinds of poses.
 ERROR_MAP = "cividis_r"
 

@@ -1,6 +1,6 @@
 """`python -m groundwalk.sfm --help`."""
 
-from groundwalk.sfm.stage import STAGE
+from groundwalk.sfm.definition import STAGE
 from groundwalk.store.cli import stage_app
 
 app = stage_app(STAGE)

@@ -18,18 +18,9 @@ from groundwalk.sfm.pairs.matching import MatchedPairs
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import StageRun
 from groundwalk.store.choices import PairOrigin
+from groundwalk.store.colours import APR, FUSED, GROUND_TRUTH, NEUTRAL, REJECTED, VIO
 from groundwalk.store.parallel import in_parallel
-from groundwalk.store.recording import (
-    APR,
-    FUSED,
-    GROUND_TRUTH,
-    NEUTRAL,
-    REJECTED,
-    UP_AXIS,
-    VIO,
-    log_camera,
-    log_path,
-)
+from groundwalk.store.recording import UP_AXIS, log_camera, log_path
 from groundwalk.store.tables import camera_of, poses_of
 from groundwalk.store.undistortion import undistorted_image
 

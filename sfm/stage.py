@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.adjustment import Adjusted
 from groundwalk.sfm.cameras.model_adjustment import cameras_of_frames, load_adjusted
-from groundwalk.sfm.extensions import MAPPERS, RETRIEVALS
 from groundwalk.sfm.mapping.attempt_models import AttemptModels, attempt_models
 from groundwalk.sfm.mapping.attempts import Attempt, run_attempts
 from groundwalk.sfm.mapping.build import BuiltModel
@@ -39,7 +38,7 @@ from groundwalk.sfm.tables import (
     pairs_table,
     points_table,
 )
-from groundwalk.store import Stage, StageRun, UserError
+from groundwalk.store import StageRun, UserError
 from groundwalk.store.choices import AttemptName, AttemptOutcome
 from groundwalk.store.hints import setting_of
 from groundwalk.store.tables import with_cameras
@@ -168,18 +167,3 @@ def _covariances(
                 )
         estimates.append(estimate)
     return covariance, motion_sd, estimates
-
-
-STAGE = Stage(
-    name="sfm",
-    version=43,
-    settings=SfmSettings,
-    needs=("import",),
-    run=run,
-    plugins=lambda settings: {**MAPPERS.versions([settings.mapper]), **RETRIEVALS.versions([settings.retrieval])},
-    help="Structure from motion: features, pairs from time, VIO and similar images, checked against VIO; models over "
-    "all sessions, one where the images allow it, and their quality.",
-    reads_images=lambda settings: True,
-    # Keypoints, descriptors and matches, and the images without their lens.
-    space_bytes=lambda settings, frames: (32 << 20) + frames * (200_000 + 250 * settings.max_features),
-)

@@ -1,7 +1,5 @@
 """Simulates the captures of a scene: plans, renders in several processes, writes, and puts all in place at the end."""
 
-import hashlib
-import json
 import multiprocessing
 import shutil
 from collections.abc import Iterable
@@ -13,6 +11,7 @@ import pandas as pd
 
 from groundwalk.simulation.appearance import seen_as
 from groundwalk.simulation.capture import write_frames
+from groundwalk.simulation.existing import is_made, key_of, written_files
 from groundwalk.simulation.mesh import TexturedMesh, build_mesh, is_saved
 from groundwalk.simulation.render import Renderer
 from groundwalk.simulation.scenes import NAMES, SceneryPlan, scenery
@@ -20,14 +19,7 @@ from groundwalk.simulation.session import Shot, SimulatedSession, outline, plan_
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.choices import Appearance
-from groundwalk.store.files import (
-    file_names,
-    finish_interrupted_swap,
-    partial_folder,
-    refuse_irreplaceable,
-    swap_in,
-    write_json,
-)
+from groundwalk.store.files import partial_folder, swap_in, write_json
 from groundwalk.store.hints import link_command
 from groundwalk.store.locks import locked
 from groundwalk.store.parallel import single_threaded_opencv
@@ -36,11 +28,8 @@ from groundwalk.store.resuming import run_resumable
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import resolve_settings
 from groundwalk.store.signals import signals_held_from_workers
-from groundwalk.store.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES, marker_of, simulated_files
+from groundwalk.store.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES
 from groundwalk.store.tables import pose_frame, write_table
-from groundwalk.store.text import name_list
-
-VERSION = 4  # goes up when the same settings give other captures
 
 
 def simulate(
@@ -62,14 +51,11 @@ def simulate(
     settings = resolve_settings(SimulateSettings, "simulate", data, profile, scene, overrides or [])
     config = data.scene(scene)[0]
     final = data.captures(scene)
-    parts = {"version": VERSION, "scene": scene, "seed": seed, "settings": settings.model_dump(mode="json")}
-    key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    key, parts = key_of(scene, settings, seed)
     title = f"simulate · {scene} · {profile}"
     work = partial_folder(final)
     with locked(final):
-        _make_ready(final)
-        marker = _simulator_marker(final)
-        if marker and marker.get("key") == key and not force:
+        if is_made(final, key) and not force:
             console.print(f"{title}: up to date")
             return final
         reduced = _reduced(settings, data, scene)
@@ -97,7 +83,7 @@ def simulate(
         for mesh in {shot.mesh for session in sessions for shot in session.shots}:
             shutil.rmtree(work / mesh)
         write_json(work / SIMULATED_MARKER, content)
-        swap_in(work, final, _written)
+        swap_in(work, final, written_files)
     images = sum(len(s.shots) for s in sessions)
     console.print(f"{title}: {len(sessions)} sessions, {images} images → {final}")
     return final
@@ -226,44 +212,3 @@ def _reduced(settings: SimulateSettings, data: DataRoot, scene: str) -> dict[str
     if settings.texel_m > full.texel_m:
         here["texel"] = (f"{settings.texel_m} m", f"{full.texel_m} m")
     return here
-
-
-def _make_ready(final: Path) -> None:
-    """UserError where a capture folder can't be put there; what a killed run left undone is done."""
-    for folder in (final, partial_folder(final)):
-        refuse_irreplaceable(folder)
-    finish_interrupted_swap(final, SIMULATED_MARKER, _written)
-
-
-def _written(folder: Path) -> set[str]:
-    """The files of a capture folder that the simulator wrote; none where its marker doesn't list them."""
-    try:
-        return simulated_files(folder)
-    except ValueError:
-        return set()
-
-
-def _simulator_marker(folder: Path) -> dict[str, Any] | None:
-    """The marker of a simulated capture folder, None for an absent or empty folder; UserError for anything else."""
-    if not folder.exists() or not any(folder.iterdir()):
-        return None
-    marker = marker_of(folder)
-    if not marker:
-        raise UserError(
-            "the captures of this scene aren't simulated, and the simulator doesn't replace them",
-            where=folder,
-            expected=f"an empty folder, or one with {SIMULATED_MARKER}",
-            do="use them as they are, or move them away to simulate this scene",
-        )
-    try:
-        foreign = sorted({*file_names(folder)} - simulated_files(folder))
-    except ValueError as error:
-        raise UserError("the marker of simulated captures is damaged", where=folder, found=error) from None
-    if foreign:
-        raise UserError(
-            "the folder of simulated captures holds other files",
-            where=folder,
-            found=name_list(foreign, 3),
-            do="move them away",
-        )
-    return marker

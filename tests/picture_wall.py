@@ -47,7 +47,7 @@ def made_once(tmp_path_factory: pytest.TempPathFactory, name: str, make: Callabl
 def trained_wall(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The data folder of scene Wall, profile tiny, with a PN that learnt for one epoch; only to be read."""
     from groundwalk.store import DataRoot, execute
-    from groundwalk.training.stage import STAGE
+    from groundwalk.training.definition import STAGE
 
     def make(folder: Path) -> None:
         execute(STAGE, "Wall", "tiny", DataRoot(write_scene(folder, "Wall", train=24, test=6, seed=0)), SMALL)

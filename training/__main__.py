@@ -1,7 +1,7 @@
 """Command line of the train stage."""
 
 from groundwalk.store.cli import stage_app
-from groundwalk.training.stage import STAGE
+from groundwalk.training.definition import STAGE
 
 app = stage_app(STAGE)
 

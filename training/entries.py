@@ -1,6 +1,6 @@
 """Records of groundwalk's own regressors."""
 
-from groundwalk.store import recording
+from groundwalk.store import colours
 from groundwalk.store.registry import Lazy
 from groundwalk.training.regressor_settings import (
     ADPoseNetSettings,
@@ -18,7 +18,7 @@ PN = Regressor(
     id="PN",
     label="PN",
     meaning="PoseNet on ResNet-34 with log-quaternions",
-    colour=recording.APR,
+    colour=colours.APR,
     settings=PoseNetSettings,
     make=Lazy("groundwalk.training.models.posenet:make_posenet"),
     multi_scene=False,

@@ -9,7 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from groundwalk.scoring.errors import position_error, rotation_error_deg
-from groundwalk.store import recording as colours
+from groundwalk.store import colours
 from groundwalk.store.recording import TIMELINE, UP_AXIS, log_camera, log_path
 from groundwalk.store.registry import Colour
 from groundwalk.store.tables import poses_of

@@ -13,7 +13,7 @@ import torch
 
 from groundwalk.geometry.poses import tq_from_pose
 from groundwalk.scoring.errors import sure_enough
-from groundwalk.store import Stage, StageRun, UserError, recording
+from groundwalk.store import StageRun, UserError, colours
 from groundwalk.store.child import Report, Task, in_children
 from groundwalk.store.hints import setting_of
 from groundwalk.store.registry import PluginError
@@ -233,7 +233,7 @@ def write_results(r: StageRun[TrainSettings], frames: pd.DataFrame, cache: Image
     r.write("models", pd.DataFrame([result.card for result in results]))
     names = [result.card["model"] for result in results]
     trained = [result.card["model"] for result in results if len(result.history)]
-    more = cycle(recording.MORE_COLOURS)
+    more = cycle(colours.MORE_COLOURS)
     shades = {name: REGRESSORS[name].colour if name in REGRESSORS else next(more) for name in names}
     with r.step("recording"), r.recording(blueprint(r.leaves, names, trained)) as stream:
         record(stream, frames, predictions, history, cache, r.settings.crop, shades)
@@ -432,18 +432,3 @@ def describe(job: Job) -> str:
     else:
         machine = f"{platform.machine()} CPU, {torch.get_num_threads()} threads"
     return f"{machine}, trained in {WORDS[run.precision]} ({job.precision_reason})"
-
-
-STAGE = Stage(
-    name="train",
-    version=16,
-    settings=TrainSettings,
-    needs=("import", "align"),
-    run=run,
-    help="Train absolute pose regressors, and predict the pose of every frame. A group of scenes shares one network.",
-    files=lambda settings: settings.predictions,
-    plugins=lambda settings: REGRESSORS.versions(settings.models),
-    reads_images=lambda settings: True,
-    # Small images, and a model's checkpoints: weights and twice as much of its optimiser's, older and newer.
-    space_bytes=lambda settings, frames: 5 * frames * settings.resize**2 + (600 << 20) * len(settings.models),
-)

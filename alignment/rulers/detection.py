@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.alignment.rulers.settings import DICTIONARIES, AprilTagRuler, CharucoRuler, dictionary
+from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, dictionaries, dictionary
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rulers import Corners
 from groundwalk.store.images import read_grey_image
@@ -109,7 +109,7 @@ def explain_absence(ruler: BoardRuler, paths: Sequence[Path]) -> str:
         )
     # Most markers in an image; of dictionaries that hold them all, the smallest.
     few = images[:: max(1, len(images) // _SEARCHED_FOR_DICTIONARY)]
-    counts = {name: max(len(_markers(name, image)) for image in few) for name in DICTIONARIES}
+    counts = {name: max(len(_markers(name, image)) for image in few) for name in dictionaries()}
     best = min(counts, key=lambda name: (-counts[name], len(dictionary(name).bytesList)))
     if counts[best] >= _MIN_MARKERS:
         return f"another dictionary: up to {counts[best]} markers of {best} in an image, none of {ruler.dictionary}"

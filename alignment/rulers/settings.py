@@ -1,21 +1,31 @@
 """Settings of rulers: the `[[ruler]]` tables of a scene's file."""
 
-from typing import Annotated, Any, ClassVar, Literal
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-import cv2
 from pydantic import BeforeValidator, Field, model_validator
 
 from groundwalk.store import Settings, UserError
 from groundwalk.store.settings import validated
 
-DICTIONARIES = tuple(sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_")))
+if TYPE_CHECKING:
+    import cv2
+
 APRILTAG = "DICT_APRILTAG_36H11"
 
 
+@cache
+def dictionaries() -> tuple[str, ...]:
+    """The names of OpenCV's predefined dictionaries, which is loaded for a scene with rulers alone."""
+    import cv2
+
+    return tuple(sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_")))
+
+
 def _dictionary(name: Any) -> Any:
-    if not isinstance(name, str) or name.upper() not in map(str.upper, DICTIONARIES):
-        raise ValueError(f"not a dictionary that OpenCV knows; one of {', '.join(DICTIONARIES)}")
-    return next(candidate for candidate in DICTIONARIES if candidate.upper() == name.upper())
+    if not isinstance(name, str) or name.upper() not in map(str.upper, dictionaries()):
+        raise ValueError(f"not a dictionary that OpenCV knows; one of {', '.join(dictionaries())}")
+    return next(candidate for candidate in dictionaries() if candidate.upper() == name.upper())
 
 
 Dictionary = Annotated[str, BeforeValidator(_dictionary)]
@@ -135,8 +145,10 @@ _KINDS: dict[str, type[Ruler]] = {
 }
 
 
-def dictionary(name: str) -> cv2.aruco.Dictionary:
+def dictionary(name: str) -> "cv2.aruco.Dictionary":
     """OpenCV's predefined dictionary of that name."""
+    import cv2
+
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 

@@ -11,8 +11,8 @@ from numpy.random import Generator
 from benchmarks.faults.case import DONE, REFUSED, Case
 from benchmarks.faults.sandbox import PROFILE, SCENE, Sandbox, rewritable
 from groundwalk.cli import stages
+from groundwalk.store.definition import Stage
 from groundwalk.store.manifests import MANIFEST
-from groundwalk.store.stage import Stage
 
 Damage = Callable[[Path, Generator], None]
 

@@ -4,10 +4,8 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
 
 import pandas as pd
-from pydantic import Field, model_validator
 
 from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_rows, signal_rows
 from groundwalk.fusion.evaluation.intervals import intervals
@@ -20,32 +18,12 @@ from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.fusion.methods.mobilearloc import MobileARLocOptions
+from groundwalk.fusion.settings import FuseSettings
 from groundwalk.fusion.walk import Walk, known, with_odometry
-from groundwalk.store import Settings
-from groundwalk.store.choices import MapUnit, Split
+from groundwalk.store.choices import MapUnit
 from groundwalk.store.progress import track
 from groundwalk.store.registry import PluginError
 from groundwalk.store.tables import map_unit, scale_warning
-
-
-class FuseSettings(Settings):
-    methods: list[str] = Field(
-        default_factory=lambda: list(METHODS.builtin), min_length=1, description="fusion methods to run, by id"
-    )
-    options: dict[str, dict[str, Any]] = Field(
-        {}, description="a method's options that differ from its defaults: options.window30.pairs=20"
-    )
-    splits: list[Literal["train", "val", "test"]] = Field(["test"], min_length=1, description="frames to evaluate")
-    learn_from: str = Field(
-        "val", description="frames held out of training, that methods learn the regressor's errors from; none if empty"
-    )
-
-    @model_validator(mode="after")
-    def _known(self) -> "FuseSettings":
-        if self.learn_from not in ("", *Split):
-            raise ValueError(f"learn_from {self.learn_from!r} is none of {', '.join(Split)}, and not empty")
-        resolved(self)
-        return self
 
 
 @dataclass(frozen=True)
@@ -73,11 +51,7 @@ class Results:
 
 
 def resolved(settings: FuseSettings) -> dict[str, MethodOptions]:
-    """The options of each method that is to run and can. UserError for an unknown method or option, and where no method
-    can be used."""
-    for name in (*settings.methods, *settings.options):
-        if name not in METHODS.problems:
-            method(name)
+    """The options of each method that is to run and can. UserError where no method can be used."""
     chosen = {
         name: resolve_options(name, settings.options.get(name))
         for name in dict.fromkeys(settings.methods)

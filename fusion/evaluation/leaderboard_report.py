@@ -25,8 +25,8 @@ from groundwalk.fusion.evaluation.leaderboard import (
     scores,
 )
 from groundwalk.store import DataRoot, UserError
+from groundwalk.store.checkout import git_revision
 from groundwalk.store.files import make_writable
-from groundwalk.store.stage import git_revision
 
 _PAGE, _TABLE, _FIGURE = "fusion.md", "fusion.csv", "fusion_lag.png"
 _HEADER = """# Fusion methods beside each other

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from groundwalk.fusion.evaluation.sweep import VALUES
-from groundwalk.store import recording
+from groundwalk.store import colours
 
 _LABELS = {"n": "N", "d_th_m": "$d_{th}$ (m)", "o_th_deg": "$o_{th}$ (°)", "gamma": "$\\gamma$"}
 _ROWS = (
@@ -17,7 +17,7 @@ _ROWS = (
     ("frames_pct", "frames with a pose (%)"),
 )
 _SUBSETS = {"rp+opt": ("-", "reliable and optimised"), "all": ("--", "all frames, in time")}
-_COLOURS = (recording.APR, recording.FUSED, recording.GROUND_TRUTH, recording.VIO, recording.REJECTED)
+_COLOURS = (colours.APR, colours.FUSED, colours.GROUND_TRUTH, colours.VIO, colours.REJECTED)
 
 
 def write_sweep_figure(sweep: pd.DataFrame, defaults: dict[str, float], path: Path) -> None:

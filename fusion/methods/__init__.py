@@ -2,13 +2,15 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.localiser import MethodOptions, Stepping
-from groundwalk.fusion.methods.offline import Offline
 from groundwalk.store.registry import Colour, Entry, Registry, callable_faults, colour_faults
 from groundwalk.store.settings import validated
+
+if TYPE_CHECKING:
+    from groundwalk.fusion.methods.error_map import ErrorMap
+    from groundwalk.fusion.methods.offline import Offline
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +31,7 @@ class Method(Entry):
     noun: ClassVar[str] = "fusion method"
 
     colour: Colour
-    make: Callable[..., Stepping | Offline] = field(repr=False)
+    make: "Callable[..., Stepping | Offline]" = field(repr=False)
     options: type[MethodOptions]
     causal: bool
     gives_covariance: bool
@@ -38,7 +40,7 @@ class Method(Entry):
     needs_vertical: bool = False
     visible: bool = False
 
-    def localiser(self, options: MethodOptions, error_map: ErrorMap | None = None) -> Stepping | Offline:
+    def localiser(self, options: MethodOptions, error_map: "ErrorMap | None" = None) -> "Stepping | Offline":
         """A fresh one. `error_map` is what held-out frames say of the regressor; most methods have no use for it."""
         return self.make(options, error_map) if self.learns else self.make(options)
 

@@ -10,13 +10,13 @@ from groundwalk.fusion.methods.pose_graph import PoseGraph, PoseGraphOptions
 from groundwalk.fusion.methods.smoother import Smoother, SmootherOptions
 from groundwalk.fusion.methods.vio_oracle import VioOracle, VioOracleOptions
 from groundwalk.fusion.methods.window import Window, WindowOptions
-from groundwalk.store import recording
+from groundwalk.store import colours
 
 APR = Method(
     id="apr",
     label="regressor alone",
     meaning="the raw regressor",
-    colour=recording.APR,
+    colour=colours.APR,
     make=Apr,
     options=AprOptions,
     causal=True,
@@ -28,7 +28,7 @@ MOBILEARLOC = Method(
     id="mobilearloc",
     label="VIO",
     meaning="the paper's rule",
-    colour=recording.FUSED,
+    colour=colours.FUSED,
     make=MobileARLoc,
     options=MobileARLocOptions,
     causal=True,

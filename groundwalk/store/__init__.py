@@ -4,9 +4,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from groundwalk.store.definition import Stage
     from groundwalk.store.errors import UserError
     from groundwalk.store.settings import DataRoot, SceneConfig, Settings
-    from groundwalk.store.stage import Stage, StageRun, execute
+    from groundwalk.store.stage import StageRun, execute
 
 __all__ = ["DataRoot", "SceneConfig", "Settings", "Stage", "StageRun", "UserError", "execute"]
 
@@ -14,7 +15,7 @@ _MODULES = {
     "DataRoot": "settings",
     "SceneConfig": "settings",
     "Settings": "settings",
-    "Stage": "stage",
+    "Stage": "definition",
     "StageRun": "stage",
     "UserError": "errors",
     "execute": "stage",

@@ -1,5 +1,6 @@
 """Where the repository is that this package lies in."""
 
+import subprocess
 from pathlib import Path
 
 
@@ -14,3 +15,20 @@ def _checkout() -> Path | None:
 
 CHECKOUT = _checkout()
 """The repository's folder; None where groundwalk was installed from a wheel."""
+
+
+def git_revision() -> str:
+    """The revision of this checkout, with `-dirty` where it has changes; `unknown` outside one."""
+    if CHECKOUT is None:
+        return "unknown"
+    try:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=12"],
+            cwd=CHECKOUT,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return described.stdout.strip()

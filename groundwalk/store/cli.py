@@ -1,6 +1,5 @@
 """The command line that every stage shares: `groundwalk <stage> --scene … --profile …`."""
 
-import gc
 import os
 import sys
 from collections.abc import Callable
@@ -16,7 +15,7 @@ from groundwalk.store.signals import Stopped, signals_raise
 from groundwalk.store.text import printable
 
 if TYPE_CHECKING:
-    from groundwalk.store.stage import Stage
+    from groundwalk.store.definition import Stage
 
 
 def _complete_scene(context: typer.Context) -> list[str]:
@@ -157,15 +156,10 @@ def stage_command(name: str, load: "Callable[[], Stage[Any]]") -> Callable[..., 
                 "no scene was named",
                 do=f"add --scene <name>, for example --scene Church (stage {name})",
             )
-        # What libraries make while they are imported stays in use: the garbage collector would look through it for
-        # nothing, again and again and as the process ends.
-        gc.disable()
+        # Here, as it takes a second, and more than `--help`.
         from groundwalk.store.stage import execute
 
-        stage = load()
-        gc.freeze()
-        gc.enable()
-        execute(stage, scene, profile, DataRoot(data), set_, seed, force)
+        execute(load(), scene, profile, DataRoot(data), set_, seed, force)
 
     return main
 

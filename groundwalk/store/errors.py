@@ -1,5 +1,7 @@
 """The one exception for what a user can cause, and how it's shown."""
 
+from functools import partial
+
 
 class UserError(Exception):
     """Something in the user's input, settings or machine that stops the work.
@@ -28,8 +30,4 @@ class UserError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         # Keyword arguments need help to cross a process border.
-        return _rebuild, (self.what, self.details)
-
-
-def _rebuild(what: str, details: dict[str, object]) -> UserError:
-    return UserError(what, **details)  # type: ignore[arg-type]
+        return partial(type(self), self.what, **self.details), ()

@@ -7,30 +7,16 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-import pyarrow.parquet as pq
-
+from groundwalk.store.definition import Stage
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import hash_files, sha256_of
+from groundwalk.store.files import hash_files, read_json, sha256_of
 from groundwalk.store.hints import link_command, run_command
 from groundwalk.store.locks import locked
-from groundwalk.store.manifests import MANIFEST, load_manifest, load_verified
-from groundwalk.store.settings import STAGES, DataRoot, SceneConfig
+from groundwalk.store.manifests import MANIFEST, load_manifest, load_verified, replaced_input
+from groundwalk.store.settings import DataRoot, SceneConfig
 from groundwalk.store.simulated import TRUTH_FILES, are_simulated
-
-
-class Reader(Protocol):
-    """The part of a stage that says what it reads."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def needs(self) -> tuple[str, ...]: ...
-    @property
-    def reads_captures(self) -> bool: ...
-    @property
-    def reads_shipped(self) -> tuple[str, ...]: ...
 
 
 @dataclass
@@ -40,7 +26,7 @@ class Inputs:
     `hashes` is what goes into the stage's key.
     """
 
-    stage: Reader
+    stage: Stage[Any]
     scene: SceneConfig
     profile: str
     data: DataRoot
@@ -65,15 +51,22 @@ class Inputs:
         """UserError where an input isn't as its stage wrote it, or an image as import saw it."""
         for _, _, folder in self._sources():
             load_verified(folder)
-        from groundwalk.store.images import verify_images  # OpenCV, which the command `run` does without
+        from groundwalk.store.images import verify_images  # OpenCV
 
         for leaf in self.data.leaves(self.scene) if self.reads_images else ():
             verify_images(self.data.captures(leaf), self.data.run(self.profile, leaf, "import"))
 
     def refuse_outdated(self) -> None:
         """UserError where an artefact among the inputs was made from others than are there now."""
-        for scene, stage, folder in self._sources():
-            self._refuse_outdated(scene, stage, load_manifest(folder))
+        for scene, stage, _ in self._sources():
+            if replaced := replaced_input(self._manifest_of, scene, stage):
+                its_scene, its_stage = replaced.artefact
+                folder = self.data.run(self.profile, its_scene, its_stage)
+                raise UserError(
+                    f"artefact {its_stage} of scene {its_scene} is outdated: {replaced} has been made anew since",
+                    where=folder,
+                    do=run_command(folder),
+                )
 
     def refuse_changed(self) -> None:
         """UserError where an input isn't any more what it was when it was verified: no lock stops other programs."""
@@ -89,6 +82,8 @@ class Inputs:
 
     def frames(self) -> int:
         """How many frames the imports have that are read."""
+        import pyarrow.parquet as pq
+
         files = [folder / "frames.parquet" for _, stage, folder in self._sources() if stage == "import"]
         return sum(pq.read_metadata(file).num_rows for file in files if file.is_file())
 
@@ -98,6 +93,9 @@ class Inputs:
             return are_simulated(capture_files(self.data.captures(self.scene.name)))
         leaves = self.data.leaves(self.scene)
         return any(load_manifest(self.data.run(self.profile, leaf, "import"))["simulated"] for leaf in leaves)
+
+    def _manifest_of(self, scene: str, stage: str) -> dict[str, Any]:
+        return read_json(self.data.run(self.profile, scene, stage) / MANIFEST)
 
     def _lock(self) -> None:
         """Captures, too, are read by many stages, and are another profile's to simulate or remove."""
@@ -138,25 +136,6 @@ class Inputs:
                 if config.is_group:
                     named += [(group, need) for need in self.stage.needs if need in config.stages]
         return [(scene, need, self.data.run(self.profile, scene, need)) for scene, need in named]
-
-    def _refuse_outdated(self, scene: str, stage: str, manifest: dict[str, Any]) -> None:
-        """Each artefact must come from those that are there now, or a run would mix two imports."""
-        for source, hashes in manifest.get("inputs", {}).items():
-            its_scene, _, its_stage = source.partition("/")
-            if its_stage not in STAGES:
-                continue
-            folder = self.data.run(self.profile, its_scene, its_stage)
-            if not (folder / MANIFEST).is_file():
-                continue
-            made_from = load_manifest(folder)
-            if made_from["outputs"] != hashes:
-                raise UserError(
-                    f"artefact {stage} of scene {scene} is outdated: {its_stage} of scene {its_scene} has been made "
-                    "anew since",
-                    where=self.data.run(self.profile, scene, stage),
-                    do=run_command(self.data.run(self.profile, scene, stage)),
-                )
-            self._refuse_outdated(its_scene, its_stage, made_from)
 
 
 def hashes_of_named(files: Iterable[str], scene: str, data: DataRoot) -> dict[str, str]:

@@ -1,7 +1,8 @@
 """Manifests of finished artefacts: what they have to say, and whether the artefact is still as it was written."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import KEY_FILE, RECORDING, hash_files, leads_outside, read_json
@@ -86,22 +87,42 @@ def is_whole(folder: Path, key: str) -> bool:
     return not manifest.get("recorded") or (folder / RECORDING).is_file()
 
 
+class Replaced(NamedTuple):
+    """An artefact that was made from another one than is there now: which one it is, and from which, as scene and
+    stage."""
+
+    artefact: tuple[str, str]
+    source: tuple[str, str]
+
+    def __str__(self) -> str:
+        return "{1} of scene {0}".format(*self.source)
+
+
+def replaced_input(manifest_of: Callable[[str, str], dict[str, Any]], scene: str, stage: str) -> Replaced | None:
+    """Where an artefact, or one that it was made from, was made from one that was made anew since. `manifest_of` gives
+    the manifest of a scene's stage, whatever its file holds; one that isn't there, or is damaged, wasn't made anew."""
+    for source, hashes in manifest_of(scene, stage).get("inputs", {}).items():
+        its_scene, _, its_stage = source.partition("/")
+        if its_stage not in STAGES:
+            continue
+        now = manifest_of(its_scene, its_stage)
+        if is_manifest(now) and now["outputs"] != hashes:
+            return Replaced((scene, stage), (its_scene, its_stage))
+        if replaced := replaced_input(manifest_of, its_scene, its_stage):
+            return replaced
+    return None
+
+
 def outdated_stages(folder: Path, manifests: dict[str, dict[str, Any]]) -> dict[str, str]:
-    """Stage -> the first input that isn't any more what the stage, or one that it was made from, read. `folder` is that
-    of a scene's run, with the manifests of its stages in order."""
-    outdated: dict[str, str] = {}
-    for stage, manifest in manifests.items():
-        for source, hashes in manifest.get("inputs", {}).items():
-            scene, _, needed = source.partition("/")
-            if needed not in STAGES:
-                continue
-            same_scene = scene == manifest["scene"].get("name")
-            now = manifests.get(needed) if same_scene else read_json(folder.parent / scene / needed / MANIFEST)
-            if same_scene and needed in outdated:
-                outdated.setdefault(stage, outdated[needed])
-            elif now and now.get("outputs") != hashes:
-                outdated.setdefault(stage, f"{needed} of scene {scene}")
-    return outdated
+    """Stage -> an input that isn't any more what the stage, or one that it was made from, read. `folder` is that of a
+    scene's run, with the manifests of its finished stages."""
+    own = {str(manifest["scene"].get("name")) for manifest in manifests.values()}
+
+    def manifest_of(scene: str, stage: str) -> dict[str, Any]:
+        return manifests.get(stage, {}) if scene in own else read_json(folder.parent / scene / stage / MANIFEST)
+
+    replaced = {stage: replaced_input(manifest_of, scene, stage) for scene in own for stage in manifests}
+    return {stage: str(of) for stage, of in replaced.items() if of}
 
 
 def _again(folder: Path) -> str:

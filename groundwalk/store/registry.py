@@ -10,10 +10,10 @@ import contextlib
 import pkgutil
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import metadata
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar, cast
 
 from groundwalk.store import progress
 from groundwalk.store.builtin import BUILTIN
@@ -36,8 +36,12 @@ class Lazy:
 
     reference: str
 
+    def load(self) -> Any:
+        """What it stands for, imported."""
+        return pkgutil.resolve_name(self.reference)
+
     def __call__(self, *arguments: Any, **more: Any) -> Any:
-        return pkgutil.resolve_name(self.reference)(*arguments, **more)
+        return self.load()(*arguments, **more)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,15 +84,11 @@ def callable_faults(record: object, names: Iterable[str]) -> Iterable[str]:
 
 @dataclass(frozen=True)
 class Source:
-    """Where an entry comes from."""
+    """Where an entry of another package comes from."""
 
     package: str
     version: str
     point: metadata.EntryPoint
-
-    @property
-    def is_builtin(self) -> bool:
-        return self.package == GROUNDWALK
 
     def __str__(self) -> str:
         return (
@@ -96,59 +96,71 @@ class Source:
             f"{self.point.name} = {self.point.value}"
         )
 
+    def error(self, what: str, reason: str) -> "PluginError":
+        do = f"mend or update {self.package}, or take the entry out of the settings"
+        return PluginError(what, where=str(self), found=reason, do=do)
+
 
 class PluginError(UserError):
-    """A plug-in that can't be used or fails; says its package and entry point."""
+    """A plug-in that can't be used or fails; says its package and entry point, and `found`, why."""
 
-    def __init__(self, what: str, *, reason: str = "", **details: Any) -> None:
-        super().__init__(what, **details)
-        self.reason = reason
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild, (self.what, self.reason, self.details)
-
-
-def _rebuild(what: str, reason: str, details: dict[str, Any]) -> PluginError:
-    return PluginError(what, reason=reason, **details)
+    @property
+    def reason(self) -> str:
+        return str(self.details["found"])
 
 
 E = TypeVar("E", bound=Entry)
 
 
+@dataclass(frozen=True)
+class _Others(Generic[E]):
+    """The entries of other packages by id, where each comes from, and why others can't be used."""
+
+    entries: dict[str, E] = field(default_factory=dict)
+    sources: dict[str, Source] = field(default_factory=dict)
+    problems: dict[str, list[PluginError]] = field(default_factory=dict)
+
+
 class Registry(Mapping[str, E], Generic[E]):
-    """The usable entries of one kind by id: groundwalk's own in their order, then other packages' by package and id."""
+    """The usable entries of one kind by id: groundwalk's own in their order, then other packages' by package and id.
+
+    groundwalk's own are each imported when they are asked for; of other packages all, as only then it's known which can
+    be used.
+    """
 
     def __init__(self, group: str, record: type[E]) -> None:
         self.group = group
         self.record = record
-
-    def __getitem__(self, entry_id: str) -> E:
-        return self._loaded.entries[entry_id]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._loaded.entries)
-
-    def __len__(self) -> int:
-        return len(self._loaded.entries)
 
     @property
     def builtin(self) -> tuple[str, ...]:
         """The ids of groundwalk's own entries."""
         return tuple(BUILTIN[self.group])
 
+    def __getitem__(self, entry_id: str) -> E:
+        if entry_id in BUILTIN[self.group]:
+            return cast(E, pkgutil.resolve_name(BUILTIN[self.group][entry_id]))
+        return self._others.entries[entry_id]
+
+    def __contains__(self, entry_id: object) -> bool:
+        return entry_id in BUILTIN[self.group] or entry_id in self._others.entries
+
+    def __iter__(self) -> Iterator[str]:
+        yield from BUILTIN[self.group]
+        yield from self._others.entries
+
+    def __len__(self) -> int:
+        return len(BUILTIN[self.group]) + len(self._others.entries)
+
     @property
     def problems(self) -> Mapping[str, list[PluginError]]:
         """Entry points that can't be used, by their name."""
-        return self._loaded.problems
+        return self._others.problems
 
-    def source(self, entry_id: str) -> Source:
-        """Where a usable entry comes from."""
-        return self._loaded.sources[entry_id]
-
-    def find(self, entry_id: str) -> E:
-        """The entry of that id; UserError where there is none, PluginError where it can't be used."""
+    def known(self, entry_id: str) -> str:
+        """The id itself, for settings; UserError where there is none, PluginError where it can't be used."""
         if entry_id in self:
-            return self[entry_id]
+            return entry_id
         if entry_id in self.problems:
             raise self.problems[entry_id][0]
         raise UserError(
@@ -157,10 +169,9 @@ class Registry(Mapping[str, E], Generic[E]):
             do="correct the name, or install the package that brings it",
         )
 
-    def known(self, entry_id: str) -> str:
-        """The id itself, for settings; raises as `find` does."""
-        self.find(entry_id)
-        return entry_id
+    def find(self, entry_id: str) -> E:
+        """The entry of that id; raises as `known` does."""
+        return self[self.known(entry_id)]
 
     @contextlib.contextmanager
     def guard(self, entry_id: str) -> Iterator[None]:
@@ -169,13 +180,10 @@ class Registry(Mapping[str, E], Generic[E]):
         try:
             yield
         except Exception as error:
-            if self.source(entry_id).is_builtin or isinstance(error, UserError):
+            source = self._others.sources.get(entry_id)
+            if source is None or isinstance(error, UserError):
                 raise
-            raise self.failure(entry_id, _in_words(error)) from error
-
-    def failure(self, entry_id: str, reason: str) -> PluginError:
-        """The error for an entry that does something wrong."""
-        return _error(f"{self.record.noun} {entry_id!r} failed", self.source(entry_id), reason)
+            raise source.error(f"{self.record.noun} {entry_id!r} failed", _in_words(error)) from error
 
     def unusable(self, entry_ids: Iterable[str]) -> list[PluginError]:
         """Why those of the entries take no part that can't be used."""
@@ -184,13 +192,13 @@ class Registry(Mapping[str, E], Generic[E]):
     def sections(self, content: object, selected: Iterable[str], table: str) -> object:
         """Sections of settings, by entry, as the entries' settings models; kept are those of `selected`, on which alone
         a run depends. `table` is where they stand: `train.regressors`. For a validator of mode "before": what isn't a
-        table is returned as it is; raises as `find` does, and UserError for a setting that doesn't fit."""
+        table is returned as it is; raises as `known` does, and UserError for a setting that doesn't fit."""
         if not isinstance(content, dict):
             return content
         selected = tuple(selected)
         for name in (*selected, *content):
             if name not in self.problems:
-                self.find(name)
+                self.known(name)
         usable = [name for name in self if name in selected or name in content]
         checked = {name: self._section(name, content.get(name, {}), table) for name in usable}
         return {name: settings for name, settings in checked.items() if name in selected}
@@ -204,77 +212,52 @@ class Registry(Mapping[str, E], Generic[E]):
         section: Settings = validated(entry.settings, content, f"[{table}.{name}]")
         return section
 
-    def versions(self, entry_ids: Iterable[str]) -> dict[str, str]:
-        """Package and version of the entries that other packages bring: what they compute depends on these, too."""
-        sources = {i: self._loaded.sources[i] for i in entry_ids if i in self._loaded.sources}
-        return {i: f"{s.package} {s.version}" for i, s in sources.items() if not s.is_builtin}
+    def versions(self, entry_ids: Iterable[str] | None = None) -> dict[str, str]:
+        """Package and version of the entries (None: of all) that other packages bring: what they compute depends on
+        these, too."""
+        sources = self._others.sources
+        ids = sources if entry_ids is None else [i for i in entry_ids if i in sources]
+        return {i: f"{sources[i].package} {sources[i].version}" for i in ids}
 
     @cached_property
-    def _loaded(self) -> "_Loaded[E]":
-        loaded = _Loaded[E]({}, {}, {})
-        for source in [*_builtin(self.group), *_installed(self.group)]:
-            self._load(source, loaded)
-        for errors in loaded.problems.values():
-            for error in errors:
-                progress.console.print(f"warning: {error}")
-        return loaded
+    def _others(self) -> _Others[E]:
+        """Of groundwalk itself none, whatever an older installation says."""
+        points = [point for point in metadata.entry_points(group=self.group) if point.dist is not None]
+        sources = [Source(point.dist.metadata["Name"], point.dist.version, point) for point in points if point.dist]
+        others = _Others[E]()
+        for source in sorted(sources, key=lambda source: (source.package.lower(), source.point.name)):
+            if source.package != GROUNDWALK:
+                self._load(source, others)
+        return others
 
-    def _load(self, source: Source, loaded: "_Loaded[E]") -> None:
-        try:
-            reason = self._id_clash(source, loaded)
-            record = None if reason else source.point.load()
-            reason = reason or "; ".join(self._faults(record, source))
-        except (Exception, SystemExit) as error:
-            if source.is_builtin:
-                raise
-            record, reason = None, f"it can't be imported: {_in_words(error)}"
-        if reason:
-            what = f"{self.record.noun} {source.point.name!r} is left out"
-            loaded.problems.setdefault(source.point.name, []).append(_error(what, source, reason))
-        elif isinstance(record, self.record):
-            loaded.entries[record.id] = record
-            loaded.sources[record.id] = source
-
-    def _id_clash(self, source: Source, loaded: "_Loaded[E]") -> str:
+    def _load(self, source: Source, others: _Others[E]) -> None:
         name = source.point.name
-        return f"its id is taken: {loaded.sources[name]}" if name in loaded.entries else ""
+        reason, record = "", None
+        if name in BUILTIN[self.group]:
+            reason = f"its id is taken: package {GROUNDWALK}"
+        elif name in others.sources:
+            reason = f"its id is taken: {others.sources[name]}"
+        else:
+            try:
+                record = source.point.load()
+                reason = "; ".join(self._faults(record, name))
+            except (Exception, SystemExit) as error:
+                reason = f"it can't be imported: {_in_words(error)}"
+        if reason:
+            error = source.error(f"{self.record.noun} {name!r} is left out", reason)
+            others.problems.setdefault(name, []).append(error)
+            progress.console.print(f"warning: {error}")
+        else:
+            others.entries[name], others.sources[name] = cast(E, record), source
 
-    def _faults(self, record: object, source: Source) -> Iterator[str]:
+    def _faults(self, record: object, name: str) -> Iterator[str]:
         if not isinstance(record, self.record):
             wanted = f"{self.record.__module__}.{self.record.__qualname__}"
             yield f"it is a {type(record).__name__}, not a {wanted}"
             return
         yield from record.faults()
-        if record.id != source.point.name:
+        if record.id != name:
             yield f"its id is {record.id!r}, not the entry point's name"
-
-
-@dataclass(frozen=True)
-class _Loaded(Generic[E]):
-    entries: dict[str, E]
-    sources: dict[str, Source]
-    problems: dict[str, list[PluginError]]
-
-
-def _builtin(group: str) -> list[Source]:
-    points = [metadata.EntryPoint(name, value, group) for name, value in BUILTIN[group].items()]
-    return [Source(GROUNDWALK, "", point) for point in points]
-
-
-def _installed(group: str) -> list[Source]:
-    """Entry points of installed packages by package and name; of groundwalk itself none, whatever an older one says."""
-    sources = [
-        Source(point.dist.metadata["Name"], point.dist.version, point)
-        for point in metadata.entry_points(group=group)
-        if point.dist is not None
-    ]
-    others = [source for source in sources if not source.is_builtin]
-    return sorted(others, key=lambda source: (source.package.lower(), source.point.name))
-
-
-def _error(what: str, source: Source, reason: str) -> PluginError:
-    do = f"mend or update {source.package}, or take the entry out of the settings"
-    return PluginError(what, where=str(source), found=reason, do=do, reason=reason)
 
 
 def _in_words(error: BaseException) -> str:

@@ -152,7 +152,9 @@ class DataRoot:
         return list(dict.fromkeys(leaf for m in scene.members for leaf in self.leaves(self.scene(m)[0], above)))
 
 
-def resolve_settings(model: type[T], section: str, data: DataRoot, profile: str, scene: str, overrides: list[str]) -> T:
+def resolve_settings(
+    model: type[T], section: str, data: DataRoot, profile: str, scene: str, overrides: Sequence[str] = ()
+) -> T:
     """A stage's settings: code defaults, then the profile, the scene and `key=value` overrides, later ones winning.
 
     UserError for an unknown key, a wrong type or a value out of range.

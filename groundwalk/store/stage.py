@@ -1,14 +1,12 @@
-"""Running a stage: its inputs and key, its partial folder, its manifest, and the rename that finishes it."""
+"""Running a stage: its partial folder, its manifest, and the rename that finishes it."""
 
 import contextlib
-import hashlib
-import json
+import gc
 import os
 import platform
 import shutil
-import subprocess
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
@@ -19,13 +17,13 @@ import pandas as pd
 import rerun as rr
 
 from groundwalk.store import progress, recording
-from groundwalk.store.checkout import CHECKOUT
+from groundwalk.store.checkout import git_revision
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.damage import free_bytes
+from groundwalk.store.definition import Stage
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import (
     RECORDING,
-    finish_interrupted_swap,
     partial_folder,
     refuse_irreplaceable,
     swap_in,
@@ -33,14 +31,14 @@ from groundwalk.store.files import (
 )
 from groundwalk.store.hints import of_scene
 from groundwalk.store.images import image_file
-from groundwalk.store.inputs import Inputs, missing_input
-from groundwalk.store.locks import locked
-from groundwalk.store.manifests import MANIFEST, is_whole, listed_files, load_manifest, output_hashes
+from groundwalk.store.inputs import missing_input
+from groundwalk.store.manifests import MANIFEST, listed_files, load_manifest, output_hashes
 from groundwalk.store.memory import PeakMemory
-from groundwalk.store.registry import PluginError
+from groundwalk.store.outdated import prepared
+from groundwalk.store.registry import Lazy, PluginError
 from groundwalk.store.resuming import run_resumable
 from groundwalk.store.schemas import schema
-from groundwalk.store.settings import DataRoot, SceneConfig, Settings, resolve_settings
+from groundwalk.store.settings import DataRoot, SceneConfig, Settings
 from groundwalk.store.tables import (
     dataset_frames,
     map_unit,
@@ -64,32 +62,6 @@ _VERSIONS = (
     "scipy",
     "torch",
 )
-
-
-@dataclass(frozen=True)
-class Stage(Generic[S]):
-    """A stage of the pipeline.
-
-    `version` goes up when the same input gives another output, so that old artefacts are made again.
-    `reads_captures` is for import, the one stage whose input is the capture folder.
-    """
-
-    name: str
-    version: int
-    settings: type[S]
-    needs: tuple[str, ...]
-    run: Callable[["StageRun[S]"], None]
-    help: str
-    reads_captures: bool = False
-    reads_shipped: tuple[str, ...] = ()  # folders of data/, whose files come with groundwalk
-    files: Callable[[S], Iterable[str]] = lambda settings: ()
-    """Further files that the settings name, relative to the data folder."""
-    reads_images: Callable[[S], bool] = lambda settings: False
-    """Whether it reads the images of import.frames, which are then verified before."""
-    plugins: Callable[[S], Mapping[str, str]] = lambda settings: {}
-    """Package and version of what other packages bring to a run with these settings, by id."""
-    space_bytes: Callable[[S, int], int] = lambda settings, frames: (16 << 20) + 50_000 * frames
-    """About what a run with so many frames takes of the disk, checkpoints and all."""
 
 
 @dataclass
@@ -227,21 +199,10 @@ def execute(
     when its key is the same, and dropped otherwise. Inputs are held while the stage runs, and verified before. Raises
     UserError for what a user can cause.
     """
-    scene, _ = data.scene(scene_name)
-    if scene.is_group and stage.name not in scene.stages:
-        members = ", ".join(data.leaves(scene))
-        raise UserError(
-            f"{scene_name} is a group of scenes and has no stage {stage.name}",
-            expected=f"one of {', '.join(scene.stages)}, or one of its scenes: {members}",
-        )
-    settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, overrides or [])
-    final = data.run(profile, scene_name, stage.name)
-    with _inputs(stage, scene, profile, data, settings) as inputs, locked(final):
-        finish_interrupted_swap(final, MANIFEST, listed_files)
-        inputs.refuse_outdated()
-        key, parts = _key(stage, settings, seed, inputs)
+    with prepared(stage, scene_name, profile, data, overrides or [], seed) as job:
+        final, inputs = job.final, job.inputs
         title = f"{stage.name} · {scene_name} · {profile}"
-        if not force and is_whole(final, key):
+        if not force and job.is_current():
             progress.console.print(f"{title}: up to date")
             return final
 
@@ -249,11 +210,12 @@ def execute(
         for folder in (final, work):
             refuse_irreplaceable(folder)
         inputs.verify()
-        _refuse_small_disk(work, stage.space_bytes(settings, inputs.frames()))
-        run = StageRun(stage, scene, profile, settings, seed, data, inputs.simulated(), work)
+        _refuse_small_disk(work, stage.space_bytes(job.settings, inputs.frames()))
+        run = StageRun(stage, inputs.scene, profile, job.settings, seed, data, inputs.simulated(), work)
+        _load(stage)
         start = time.monotonic()
         with PeakMemory() as memory:
-            resumed = run_resumable(work, key, title, force, run.begin)
+            resumed = run_resumable(work, job.key, title, force, run.begin)
         elapsed = time.monotonic() - start
         try:
             inputs.refuse_changed()
@@ -262,10 +224,20 @@ def execute(
             raise
         shutil.rmtree(work / _SCRATCH, ignore_errors=True)
         circumstances = _circumstances(run, elapsed, resumed, memory)
-        write_json(work / MANIFEST, {"key": key, **parts, **circumstances, "outputs": output_hashes(work)})
+        write_json(work / MANIFEST, {"key": job.key, **job.parts, **circumstances, "outputs": output_hashes(work)})
         swap_in(work, final, listed_files)
         progress.console.print(f"{title}: done in {progress.format_seconds(elapsed)} → {_relative(final)}")
         return final
+
+
+def _load(stage: Stage[Any]) -> None:
+    """Import what runs a stage. That stays in use: the garbage collector would look through it for nothing, again and
+    again and as the process ends."""
+    if isinstance(stage.run, Lazy):
+        gc.disable()
+        stage.run.load()
+        gc.freeze()
+        gc.enable()
 
 
 def _refuse_small_disk(work: Path, needed: int) -> None:
@@ -280,35 +252,6 @@ def _refuse_small_disk(work: Path, needed: int) -> None:
             found=f"{free / 2**20:,.0f} MiB free",
             do="free some space, or name a data folder on another disk with --data",
         )
-
-
-def is_up_to_date(stage: Stage[Any], scene_name: str, profile: str, data: DataRoot) -> bool:
-    """Whether `execute` without overrides, seed and force would do nothing. Raises UserError as it does."""
-    settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, [])
-    final = data.run(profile, scene_name, stage.name)
-    scene = data.scene(scene_name)[0]
-    with _inputs(stage, scene, profile, data, settings) as inputs, locked(final):
-        inputs.refuse_outdated()
-        return is_whole(final, _key(stage, settings, 0, inputs)[0])
-
-
-def _inputs(stage: Stage[S], scene: SceneConfig, profile: str, data: DataRoot, settings: S) -> Inputs:
-    return Inputs(stage, scene, profile, data, tuple(stage.files(settings)), stage.reads_images(settings))
-
-
-def _key(stage: Stage[S], settings: S, seed: int, inputs: Inputs) -> tuple[str, dict[str, Any]]:
-    """A hash of everything that a stage's output depends on, and what that is."""
-    parts: dict[str, Any] = {
-        "stage": stage.name,
-        "version": stage.version,
-        "scene": inputs.scene.model_dump(mode="json"),
-        "profile": inputs.profile,
-        "settings": settings.model_dump(mode="json"),
-        "seed": seed,
-        "inputs": inputs.hashes,
-        **({"plugins": plugins} if (plugins := dict(stage.plugins(settings))) else {}),
-    }
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest(), parts
 
 
 def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: PeakMemory) -> dict[str, Any]:
@@ -332,23 +275,6 @@ def _version(package: str) -> str:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return "not installed"
-
-
-def git_revision() -> str:
-    """The revision of this checkout, with `-dirty` where it has changes; `unknown` outside one."""
-    if CHECKOUT is None:
-        return "unknown"
-    try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=12"],
-            cwd=CHECKOUT,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return described.stdout.strip()
 
 
 def _relative(path: Path) -> str:

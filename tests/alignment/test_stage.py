@@ -14,12 +14,12 @@ from typer.testing import CliRunner
 
 from groundwalk.alignment.__main__ import app
 from groundwalk.alignment.check_truth import compare_with_bounds, compare_with_truth
-from groundwalk.alignment.stage import STAGE
+from groundwalk.alignment.definition import STAGE
 from groundwalk.alignment.uncertainty import SharedSd, shared_covariance
 from groundwalk.geometry.poses import make_pose, yaw_rotation
 from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.colours import GROUND_TRUTH, VIO
 from groundwalk.store.manifests import load_manifest
-from groundwalk.store.recording import GROUND_TRUTH, VIO
 from groundwalk.store.schemas import schema, stage_tables
 from groundwalk.store.tables import read_table, write_table
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.media.archive import unpack
 from groundwalk.capture_import.parsing import json_of, lines_of, parsed_bytes
-from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema

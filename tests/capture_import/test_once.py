@@ -15,11 +15,11 @@ from groundwalk.capture_import.checks.clock import CLOCK_LONG_SIDE, dense_part
 from groundwalk.capture_import.checks.convention import CONVENTION_LONG_SIDE, parallax_pairs
 from groundwalk.capture_import.checks.scan import ImageScan, scan_images
 from groundwalk.capture_import.checks.views import Views
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.media.images import decode_gray
 from groundwalk.capture_import.media.spool import Spool, thumbnail_path
 from groundwalk.capture_import.media.thumbnails import MAX_THUMBNAILS, spread, thumbnail_of
-from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, execute
 from groundwalk.store.manifests import load_manifest
 from tests.capture_import.capture_writers import Walk, make_walk, write_scanner_app, write_stray_scanner

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from rerun.chunk import RrdReader
 
-from groundwalk.capture_import.stage import STAGE
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.store import DataRoot, execute
 from tests.capture_import.capture_writers import WRITERS, make_walk
 

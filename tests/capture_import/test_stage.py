@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.inspection import inspect_capture
-from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.tables import poses_of
 from tests.capture_import.capture_writers import HEIGHT, WIDTH, Walk, make_walk, write_frames_jsonl, write_scanner_app

@@ -13,7 +13,7 @@ import pytest
 from evo.tools import file_interface
 from typer.testing import CliRunner
 
-from groundwalk.alignment.stage import STAGE
+from groundwalk.alignment.definition import STAGE
 from groundwalk.capture_import.capture import Limits, RawSession
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.export.__main__ import app

@@ -17,7 +17,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from groundwalk.cli import all_commands, app
-from groundwalk.pipeline import Step, _first_outdated, run_steps, steps
+from groundwalk.pipeline import Step, run_steps, steps
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.settings import STAGES
 from tests.groundwalk.made_up_run import MadeUpRun
@@ -27,6 +27,9 @@ HEAVY = {"cv2", "numba", "numpy", "open3d", "pandas", "pyarrow", "pycolmap", "re
 PROGRAM = """
 import sys
 from groundwalk.cli import app
+if "run" in {arguments!r}:
+    from groundwalk import pipeline
+    pipeline._run = lambda *step: None
 try:
     app({arguments!r}, prog_name="groundwalk")
 finally:
@@ -40,12 +43,12 @@ def groundwalk(*arguments: object, **environment: str) -> subprocess.CompletedPr
 
 
 def loaded_by(*arguments: str, **environment: str) -> tuple[str, set[str]]:
-    """What a command prints, and the libraries that it loads."""
+    """What a command prints, and the modules that it loads; it starts no stage."""
     command = [sys.executable, "-c", PROGRAM.format(arguments=list(arguments))]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, **environment})
     printed, _, modules = done.stdout.partition("loaded: ")
     assert modules, done.stderr
-    return printed, {name.split(".")[0] for name in modules.split()}
+    return printed, {*modules.split()}
 
 
 def complete(line: str, cursor: int) -> tuple[str, set[str]]:
@@ -78,8 +81,8 @@ def test_each_package_s_command_is_one_of_groundwalk_s(packages: dict[str, Any])
     for package, application in packages.items():
         for name, command in getattr(application, "commands", {}).items():
             assert options(modules[f"{package}.__main__", name].load()) == options(command)
-        if f"{package}.stage" in {module for module, _ in modules}:
-            stage = modules[f"{package}.stage", None]
+        if f"{package}.definition" in {module for module, _ in modules}:
+            stage = modules[f"{package}.definition", None]
             assert options(stage.load()) == options(application) == options(stage.load(for_completion=True))
             assert stage.load().help == application.help
             of_stages += 1
@@ -108,9 +111,15 @@ def test_completion_knows_commands_options_scenes_and_profiles(line: str, cursor
     assert not libraries & (HEAVY - {"pydantic"})
 
 
-def test_what_only_touches_files_loads_no_stage_s_library(tmp_path: Path) -> None:
-    _, libraries = loaded_by("scenes", "--data", str(tmp_path))
-    assert not libraries & {"cv2", "open3d", "pandas", "pycolmap", "rerun", "torch"}
+@pytest.mark.parametrize("command", ["scenes", "run", *(f"{stage} --help" for stage in STAGES)])
+def test_what_only_touches_files_loads_no_stage_s_library(command: str, make_run: Callable[..., MadeUpRun]) -> None:
+    """`run` of a finished scene, too, whose stages are all compared with what there is."""
+    made = make_run("import", "sfm", "align", "localise", "train", "fuse")
+    arguments = command.split() if "--help" in command else [command, "--data", str(made.data.root)]
+    if command == "run":
+        arguments += ["--scene", "place", "--profile", "tiny"]
+    _, libraries = loaded_by(*arguments)
+    assert not libraries & (HEAVY - {"numpy", "scipy", "pydantic"}) and "scipy.optimize" not in libraries
 
 
 def test_errors_are_those_of_the_packages(tmp_path: Path) -> None:
@@ -262,11 +271,9 @@ def test_a_seed_that_no_library_takes_is_refused(tmp_path: Path) -> None:
 
 def test_the_first_step_that_fails_ends_a_run(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     data = DataRoot(tmp_path)
-    (tmp_path / "runs" / "tiny" / "other").mkdir(parents=True)
     with pytest.raises(SystemExit) as ended:
-        run_steps([Step("clean", "Church"), Step("view", "Church"), Step("clean", "other")], "tiny", data)
-    assert ended.value.code == 2 and "no recording to view" in capfd.readouterr().err
-    assert (tmp_path / "runs" / "tiny" / "other").is_dir()  # a clean would have removed it
+        run_steps([Step("sfm", "Church"), Step("align", "Church")], "tiny", data)
+    assert ended.value.code == 2 and capfd.readouterr().err.count("stage import of scene Church hasn't been run") == 1
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -345,18 +352,21 @@ def test_the_table_has_one_line_of_help_a_command() -> None:
     assert {"run", "view", "inspect", "export", "clean", "simulate", *STAGES} <= set(names)
 
 
-def test_the_first_stage_that_is_not_up_to_date(
-    make_run: Callable[..., MadeUpRun], monkeypatch: pytest.MonkeyPatch
+def test_stages_that_are_not_up_to_date_are_run(
+    make_run: Callable[..., MadeUpRun], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = make_run("import", "sfm")
-    monkeypatch.setattr("groundwalk.cli.stage_of", made.stage)
-    commands = [Step(stage, "place") for stage in STAGES]
+    monkeypatch.setattr("groundwalk.pipeline.stage_of", made.stage)
+    ran: list[str] = []
+    monkeypatch.setattr("groundwalk.pipeline._run", lambda step, profile, data: ran.append(step.command))
 
-    def first() -> int:
-        return _first_outdated(lambda done, note="": None, commands, "tiny", made.data)
+    def run_all() -> list[str]:
+        ran.clear()
+        run_steps([Step(stage, "place") for stage in ("import", "sfm", "align")], "tiny", made.data)
+        return ran
 
-    assert first() == 2
+    assert run_all() == ["align"] and "sfm · place · tiny: up to date" in capsys.readouterr().err
     (made.folder / "sfm" / "images.parquet").write_bytes(b"damaged")
-    assert first() == 1
+    assert run_all() == ["sfm", "align"]
     (made.data.captures("place") / "new.png").write_bytes(b"one more")
-    assert first() == 0
+    assert run_all() == ["import", "sfm", "align"]

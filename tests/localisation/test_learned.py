@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from groundwalk.localisation import learned
+from groundwalk.localisation.definition import STAGE
 from groundwalk.localisation.feature_kinds import ALIKED, SIFT, XFEAT, FeatureKind
 from groundwalk.localisation.features import unit
-from groundwalk.localisation.stage import STAGE
 from groundwalk.scoring.errors import position_error
 from groundwalk.store import UserError, execute
 from groundwalk.store.tables import poses_of

@@ -16,8 +16,8 @@ import groundwalk
 from groundwalk import UserError
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import make_pose, pose_from_tq, yaw_rotation
+from groundwalk.localisation.definition import STAGE
 from groundwalk.localisation.locate import _refuse_other_file, app
-from groundwalk.localisation.stage import STAGE
 from groundwalk.runtime.queries import file_query, known_of, query_of
 from groundwalk.scoring.errors import position_error
 from groundwalk.store import execute

@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 
 from groundwalk.localisation.answers import Answer
+from groundwalk.localisation.definition import STAGE
 from groundwalk.localisation.inputs import read_inputs
 from groundwalk.localisation.localisers import LOCALISERS
 from groundwalk.localisation.query import MapLocaliser
-from groundwalk.localisation.stage import STAGE
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import UserError, execute
 from groundwalk.store.manifests import load_manifest

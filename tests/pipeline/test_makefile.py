@@ -50,7 +50,7 @@ def folder(tmp_path: Path) -> Path:
         pytest.skip("make isn't installed")
     shutil.copy(ROOT / "Makefile", tmp_path)
     shutil.copytree(ROOT / "shipped", tmp_path / "shipped")
-    for name in ("pyproject.toml", "constraints.txt"):
+    for name in ("pyproject.toml", "constraints.txt", "hashes.txt"):
         (tmp_path / name).touch()
         os.utime(tmp_path / name, (0, 0))
     (tmp_path / ".venv" / "bin").mkdir(parents=True)

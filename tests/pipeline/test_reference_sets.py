@@ -6,10 +6,10 @@ import pytest
 from typer.testing import CliRunner
 
 from groundwalk.alignment.__main__ import app as alignment_app
-from groundwalk.alignment.stage import STAGE as ALIGN
-from groundwalk.capture_import.stage import STAGE as IMPORT
+from groundwalk.alignment.definition import STAGE as ALIGN
+from groundwalk.capture_import.definition import STAGE as IMPORT
 from groundwalk.geometry.fits import fit_sim3, pose_residuals
-from groundwalk.sfm.stage import STAGE as SFM
+from groundwalk.sfm.definition import STAGE as SFM
 from groundwalk.simulation.__main__ import app as simulation_app
 from groundwalk.store import DataRoot, execute
 from groundwalk.store.tables import poses_of

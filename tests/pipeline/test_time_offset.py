@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from groundwalk.capture_import.stage import STAGE as IMPORT
-from groundwalk.sfm.stage import STAGE as SFM
+from groundwalk.capture_import.definition import STAGE as IMPORT
+from groundwalk.sfm.definition import STAGE as SFM
 from groundwalk.simulation.__main__ import app as simulation_app
 from groundwalk.store import DataRoot, execute
 

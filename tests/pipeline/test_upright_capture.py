@@ -9,11 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.definition import STAGE as IMPORT
 from groundwalk.capture_import.discovery import find_recordings
-from groundwalk.capture_import.stage import STAGE as IMPORT
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import inverse, make_pose
-from groundwalk.sfm.stage import STAGE as SFM
+from groundwalk.sfm.definition import STAGE as SFM
 from groundwalk.simulation.__main__ import app as simulation_app
 from groundwalk.store import DataRoot, execute
 from groundwalk.store.tables import poses_of

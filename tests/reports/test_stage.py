@@ -15,10 +15,10 @@ from matplotlib.text import Text
 
 from groundwalk.reports import style
 from groundwalk.reports.checks import AGREES
+from groundwalk.reports.definition import STAGE
 from groundwalk.reports.grids import Block, Grid, Row, latex, latex_text, markdown
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import load_published
-from groundwalk.reports.stage import STAGE
 from groundwalk.scoring.scores import score
 from groundwalk.store import UserError
 from groundwalk.store.files import write_json

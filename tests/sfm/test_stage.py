@@ -17,7 +17,7 @@ import pytest
 
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import rotation_angle
-from groundwalk.sfm.stage import STAGE
+from groundwalk.sfm.definition import STAGE
 from groundwalk.store import UserError, execute
 from groundwalk.store.choices import Clock, NotRegistered
 from groundwalk.store.schemas import schema
@@ -186,7 +186,7 @@ def test_a_stage_killed_anywhere_ends_in_the_same_tables(room: Room, tmp_path: P
     program = tmp_path / "run.py"
     program.write_text(
         "from pathlib import Path\nfrom groundwalk.store import DataRoot, execute\n"
-        "from groundwalk.sfm.stage import STAGE\n"
+        "from groundwalk.sfm.definition import STAGE\n"
         f"if __name__ == '__main__':\n"
         f"    execute(STAGE, 'room', 'tiny', DataRoot(Path({str(room.data.root)!r})), {_SETTINGS})\n"
     )

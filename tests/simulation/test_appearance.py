@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from groundwalk.capture_import.stage import STAGE as IMPORT
+from groundwalk.capture_import.definition import STAGE as IMPORT
 from groundwalk.simulation.appearance import MOVED_FRACTION, seen_as
 from groundwalk.simulation.camera import auto_exposure
 from groundwalk.simulation.canvas import Canvas

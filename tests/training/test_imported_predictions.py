@@ -10,7 +10,7 @@ import pytest
 
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.manifests import load_manifest
-from groundwalk.training.stage import STAGE
+from groundwalk.training.definition import STAGE
 
 MakeScene = Callable[..., Path]
 SETTINGS = ["models=[]", "resize=40", "crop=32", "device=cpu", 'predictions="mine.parquet"']

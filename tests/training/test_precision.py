@@ -14,6 +14,7 @@ from groundwalk.store import DataRoot, execute
 from groundwalk.store.manifests import load_manifest
 from groundwalk.training import precision, stage
 from groundwalk.training.data import View
+from groundwalk.training.definition import STAGE
 from groundwalk.training.models.regressor import PoseBatch
 from groundwalk.training.precision import Precision, faster, step_seconds
 from tests.training.test_loop import CPU, SmallRegressor, random_frames
@@ -81,9 +82,9 @@ def test_a_resumed_run_keeps_its_precision(make_scene: Callable[..., Path], monk
         patched.setattr(stage, "step_seconds", lambda *_: {"fp32": 3.0, "bf16": 1.0})
         patched.setattr(stage, "in_children", killed)
         with pytest.raises(KeyboardInterrupt):
-            execute(stage.STAGE, "Wall", "tiny", data, settings)
+            execute(STAGE, "Wall", "tiny", data, settings)
     monkeypatch.setattr(stage, "step_seconds", lambda *_: {"fp32": 1.0, "bf16": 3.0})
-    folder = execute(stage.STAGE, "Wall", "tiny", data, settings)
+    folder = execute(STAGE, "Wall", "tiny", data, settings)
     manifest = load_manifest(folder)
     assert manifest["resumed"] and manifest["figures"]["PN precision"] == "bf16"
     device = pd.read_parquet(folder / "models.parquet")["device"][0]
@@ -94,5 +95,5 @@ def test_a_resumed_run_keeps_its_precision(make_scene: Callable[..., Path], monk
 def test_a_setting_decides_instead(make_scene: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
     data = DataRoot(make_scene())
     monkeypatch.setattr(stage, "step_seconds", lambda *_: {"fp32": 3.0, "bf16": 1.0})
-    folder = execute(stage.STAGE, "Wall", "tiny", data, [*SETTINGS, "regressors.PN.precision=fp32"])
+    folder = execute(STAGE, "Wall", "tiny", data, [*SETTINGS, "regressors.PN.precision=fp32"])
     assert load_manifest(folder)["figures"]["PN precision"] == "fp32"

@@ -18,7 +18,7 @@ from groundwalk.store.schemas import schema
 from groundwalk.store.tables import camera_of, dataset_frames, read_table, write_table
 from groundwalk.training.build import load_trained
 from groundwalk.training.data import normalised, to_tensor
-from groundwalk.training.stage import STAGE
+from groundwalk.training.definition import STAGE
 
 SMALL = [
     "resize=40",

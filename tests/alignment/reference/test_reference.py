@@ -12,20 +12,20 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from groundwalk.alignment.definition import STAGE
 from groundwalk.alignment.examination import examine
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.plot import draw_checks
 from groundwalk.alignment.reference.agreement import describe_agreement
 from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.alignment.stage import STAGE
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import inverse, make_pose
 from groundwalk.store import DataRoot, UserError, execute
-from groundwalk.store.recording import GROUND_TRUTH, REJECTED, VIO
+from groundwalk.store.colours import GROUND_TRUTH, REJECTED, VIO
+from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema, stage_tables
-from groundwalk.store.stage import load_manifest
 from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
 from tests.known import there
 from tests.synthetic_walks import Scene, Walks, align

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from groundwalk.alignment.definition import STAGE
 from groundwalk.alignment.examination import examine
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.reference.poses import Reference
@@ -25,15 +26,14 @@ from groundwalk.alignment.rulers.measurement import (
 from groundwalk.alignment.rulers.scale_check import RulerCheck, describe, rulers_table
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, rulers_of
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.alignment.stage import STAGE
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
 from groundwalk.geometry.shutter import readout_fraction, readout_lines
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.choices import RulerPart
 from groundwalk.store.files import sha256_of
+from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import resolve_settings
-from groundwalk.store.stage import load_manifest
 from groundwalk.store.tables import camera_of, poses_of, read_table, write_table
 from tests.known import cells
 from tests.synthetic_walks import Scene, Walks, align

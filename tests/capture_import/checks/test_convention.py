@@ -12,11 +12,11 @@ from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, Raw
 from groundwalk.capture_import.checks.clock import check_clock
 from groundwalk.capture_import.checks.convention import CONVENTIONS, check_convention
 from groundwalk.capture_import.checks.views import Views
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.intake import Image, ImportedSession, take_in
 from groundwalk.capture_import.media.images import check_image
 from groundwalk.capture_import.settings import ImportSettings
-from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.lens import rational_of_fisheye, undistort
 from groundwalk.geometry.poses import Array, interpolate, make_pose
 from groundwalk.store import DataRoot, UserError, execute

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.checks.gravity import GravityCheck, check_gravity, starts_along_axes
 from groundwalk.capture_import.checks.views import Views
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.capture_import.intake import Intake, take_in
 from groundwalk.capture_import.settings import ImportSettings
-from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose
 from groundwalk.store import DataRoot, UserError, execute
 from tests.capture_import.capture_writers import Walk, make_walk, scan_all, write_frames_jsonl, write_record3d

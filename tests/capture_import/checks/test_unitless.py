@@ -15,10 +15,10 @@ from groundwalk.capture_import.checks.convention import check_convention, unitle
 from groundwalk.capture_import.checks.health import check_session
 from groundwalk.capture_import.checks.plausibility import plausibility_faults
 from groundwalk.capture_import.checks.views import Views
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.capture_import.intake import ImportedSession, Intake
 from groundwalk.capture_import.origin import far_origin, moved
-from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store import DataRoot, execute
 from groundwalk.store.choices import PoseSource

@@ -13,10 +13,10 @@ import pytest
 from rerun.chunk import RrdReader
 
 from groundwalk.capture_import.capture import ImageFile, Limits, RawSession
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.scanner_app import FORMAT as SCANNER_APP
 from groundwalk.capture_import.inspection import inspect_capture
-from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, UserError, execute
 from tests.known import there
 

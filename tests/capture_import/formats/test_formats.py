@@ -8,12 +8,12 @@ import pandas as pd
 import pytest
 
 from groundwalk.capture_import.capture import ImageFile, Limits
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.intake import Intake, take_in
 from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.capture_import.settings import ImportSettings
-from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import relative, rotation_angle
 from groundwalk.store import DataRoot, UserError, execute
 from tests.capture_import.capture_writers import (

@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundwalk.capture_import.capture import Intrinsics, Limits, RawSession
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.colmap import _Camera, _intrinsics
-from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import inverse
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.tables import poses_of

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
-from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, execute
 from tests.capture_import.capture_writers import (
     Walk,

@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.capture_import.media.upright import first_row
-from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import inverse, make_pose, transform
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.tables import poses_of

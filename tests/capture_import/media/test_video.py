@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.media import placing
 from groundwalk.capture_import.media.spool import Spool
 from groundwalk.capture_import.media.video import decode, frame_times, gray_pixels, require_row_per_frame, rgb_pixels
-from groundwalk.capture_import.stage import STAGE
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.manifests import load_manifest
 from tests.capture_import.capture_writers import HEIGHT, WIDTH, image, make_walk, video_frame, write_stray_scanner

@@ -26,10 +26,10 @@ from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.tables import poses_of
 from groundwalk.training.build import Trained
+from groundwalk.training.definition import STAGE
 from groundwalk.training.models import anchored_mixture
 from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
 from groundwalk.training.regressors import REGRESSORS
-from groundwalk.training.stage import STAGE
 from tests.picture_wall import write_scene
 
 open_session = partial(onnx_session, threads=1)

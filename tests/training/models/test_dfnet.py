@@ -14,12 +14,12 @@ from groundwalk.store.manifests import MANIFEST
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import write_table
 from groundwalk.training.data import IMAGENET_MEAN, IMAGENET_STD
+from groundwalk.training.definition import STAGE
 from groundwalk.training.models.dfnet import DFNet, triplet_loss
 from groundwalk.training.models.point_renderer import PointRenderer
 from groundwalk.training.models.regressor import MapPoints, PoseBatch
 from groundwalk.training.regressor_settings import DFNetSettings
 from groundwalk.training.rotations import log_quaternion
-from groundwalk.training.stage import STAGE
 from tests.synthetic_walks import filled
 
 RED, GREEN = [1.0, 0, 0], [0, 1.0, 0]

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.training import loop, weights
 from groundwalk.training.data import Frames, ImageCache, View
+from groundwalk.training.definition import STAGE
 from groundwalk.training.features import FeatureCache, feature_cache
 from groundwalk.training.loop import Run, refuse_divergence, take_best, train
 from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
@@ -23,7 +24,6 @@ from groundwalk.training.models.posenet_lite import ChannelComponents, PoseNetLi
 from groundwalk.training.models.regressor import PoseBatch
 from groundwalk.training.models.uncertainty import CovarianceScale, resized
 from groundwalk.training.regressor_settings import LiteSettings, MSTransformerLiteSettings
-from groundwalk.training.stage import STAGE
 
 CPU = torch.device("cpu")
 SMALL = ['models=["PN-Lite"]', "resize=40", "crop=32", "device=cpu", "regressors.PN-Lite.resize=32"]
