@@ -1,5 +1,6 @@
 """`python -m groundwalk.export`: ground truth as other tools read it, or a regressor as a phone runs it."""
 
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -12,10 +13,14 @@ from groundwalk.export.exporters import EXPORTERS, MODEL_EXPORTERS, written
 from groundwalk.store import DataRoot, UserError, progress
 from groundwalk.store.cli import DataOption, ProfileOption
 from groundwalk.store.files import file_names, fresh_folder, refuse_to_overwrite, write_json
+from groundwalk.store.images import verify_images
+from groundwalk.store.inputs import held
 from groundwalk.store.tables import CAMERA_COLUMNS
 
 _NOTE = "export.json"
 _FRAMES = "frames.csv"
+_READ_FOR_TRUTH = ("import", "sfm", "align")
+_READ_FOR_MODEL = ("import", "align", "train", "fuse")
 
 
 def _format_id(name: str) -> str:
@@ -73,12 +78,22 @@ def export(
             where="--model",
             do="add --model PN, or another of the table train.models" if not model else "leave --model out",
         )
-    if model:
-        _export_model(DataRoot(data), profile, scene, model, name, out, force=force)
-        return
-    dataset = load_dataset(DataRoot(data), profile, scene, reads_images=images is not ImagesOption.none)
-    about = {"scene": scene, "profile": profile, "format": name}
-    undistorted = write_export(dataset, name, out, images.value, about, force=force)
+    root = DataRoot(data)
+    scenes, stages = [scene, *root.leaves(root.scene(scene)[0])], _READ_FOR_MODEL if model else _READ_FOR_TRUTH
+    with held(root, profile, scenes, stages) as refuse_changed:
+        if model:
+            _export_model(root, profile, scene, model, name, out, refuse_changed, force=force)
+            return
+        reads_images = images is not ImagesOption.none
+        dataset = load_dataset(root, profile, scene, reads_images=reads_images)
+        about = {"scene": scene, "profile": profile, "format": name}
+
+        def refuse_any_changed() -> None:
+            refuse_changed()
+            if reads_images:
+                verify_images(root.captures(scene), root.run(profile, scene, "import"))
+
+        undistorted = write_export(dataset, name, out, images.value, about, refuse_any_changed, force=force)
     excluded = len(dataset.excluded)
     progress.console.print(
         f"{scene} as {name}: {len(dataset.frames)} frames"
@@ -95,7 +110,17 @@ def export(
         progress.console.print("  the captures are simulated, and export.json says so")
 
 
-def _export_model(data: DataRoot, profile: str, scene: str, model: str, name: str, out: Path, *, force: bool) -> None:
+def _export_model(
+    data: DataRoot,
+    profile: str,
+    scene: str,
+    model: str,
+    name: str,
+    out: Path,
+    refuse_changed: Callable[[], None],
+    *,
+    force: bool,
+) -> None:
     from groundwalk.export.regressor import load_regressor  # PyTorch, which ground truth doesn't need
 
     exporter, out = MODEL_EXPORTERS.find(name), out.absolute()
@@ -105,6 +130,7 @@ def _export_model(data: DataRoot, profile: str, scene: str, model: str, name: st
         out.parent.mkdir(parents=True, exist_ok=True)
         with fresh_folder(out) as folder, MODEL_EXPORTERS.guard(name):
             said = exporter.write(regressor, folder)
+            refuse_changed()
     except OSError as error:
         raise _not_written(error, out) from None
     progress.console.print(f"{model} of {scene} as {name} → {out}")
@@ -115,11 +141,19 @@ def _export_model(data: DataRoot, profile: str, scene: str, model: str, name: st
 
 
 def write_export(
-    dataset: Dataset, format_name: str, out: Path, images: Images, about: dict[str, str], *, force: bool
+    dataset: Dataset,
+    format_name: str,
+    out: Path,
+    images: Images,
+    about: dict[str, str],
+    refuse_changed: Callable[[], None],
+    *,
+    force: bool,
 ) -> int:
     """Write an export to the folder `out`, which appears when it is whole; returns how many images were undistorted.
 
     Raises UserError where `out` has files; with `force` an earlier export in it is replaced, never anything else.
+    `refuse_changed` is called before it appears, and raises UserError where what was exported isn't there any more.
     """
     out = out.absolute()
     refuse_to_overwrite(out, "exports", _NOTE, "format", force=force)
@@ -149,6 +183,7 @@ def write_export(
                     "files": file_names(folder),
                 },
             )
+            refuse_changed()
         return dataset.undistorted
     except OSError as error:
         raise _not_written(error, out) from None

@@ -212,13 +212,13 @@ class Run:
         """
         from groundwalk.torch_dataset import TorchDataset
 
-        return TorchDataset(self, split, transform)
+        return TorchDataset(self.frames, self.ground_truth, self.image, split, transform)
 
     def summary(self) -> str:
         """What the run holds and how accurate it is, in a few lines for people."""
         from groundwalk.summary import summary
 
-        return summary(self)
+        return summary(self.manifests, self.outdated, self.table)
 
     def _localiser(self, model: str | None) -> "FileLocaliser":
         """The structure localiser of that id, from its file, which is read once."""

@@ -1,44 +1,48 @@
 """A run in a few lines for people."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from groundwalk.run import Run
 from groundwalk.store.choices import MapUnit, PoseSource
 from groundwalk.store.settings import STAGES
-from groundwalk.store.tables import have_times
+from groundwalk.store.tables import dataset_frames, have_times
 from groundwalk.store.text import in_words, printable
 
+Table = Callable[[str, str], pd.DataFrame]
 
-def summary(run: Run) -> str:
-    """The lines of `Run.summary`, each with its subject in front."""
-    captures = "SIMULATED captures" if run.simulated else "real captures"
-    rows = [("scene", f"{run.scene}, profile {run.profile}, {captures}"), ("stages", ", ".join(_states(run)))]
-    usable = {stage for stage in run.manifests if stage not in run.outdated}
+
+def summary(manifests: dict[str, dict[str, Any]], outdated: dict[str, str], table: Table) -> str:
+    """The lines of `Run.summary`, each with its subject in front; `table(stage, name)` gives a run's tables."""
+    manifest = next(iter(manifests.values()))
+    captures = "SIMULATED captures" if manifest["simulated"] else "real captures"
+    rows = [
+        ("scene", f"{manifest['scene']['name']}, profile {manifest['profile']}, {captures}"),
+        ("stages", ", ".join(_states(manifests, outdated))),
+    ]
+    usable = {stage for stage in manifests if stage not in outdated}
     if "import" in usable:
-        rows += _frames(run)
+        rows += _frames(table("import", "sessions"), dataset_frames(table("import", "frames"))["split"].value_counts())
     if "align" in usable:
-        rows += _ground_truth(run.ground_truth)
+        rows += _ground_truth(table("align", "ground_truth"))
     if "fuse" in usable:
-        rows += _errors(run.table("fuse", "summary"), in_words(dict.fromkeys(run.table("fuse", "errors")["split"])))
+        rows += _errors(table("fuse", "summary"), in_words(dict.fromkeys(table("fuse", "errors")["split"])))
     width = max(len(subject) for subject, _ in rows) + 2
     return "\n".join(printable(f"{subject:<{width}}{text}") for subject, text in rows)
 
 
-def _states(run: Run) -> Iterator[str]:
-    for stage in run.manifests:
-        yield f"{stage} (outdated: {run.outdated[stage]} was run again since)" if stage in run.outdated else stage
-    expected = run.manifests[next(iter(run.manifests))]["scene"].get("stages") or STAGES
-    missing = [stage for stage in expected if stage not in run.manifests]
+def _states(manifests: dict[str, dict[str, Any]], outdated: dict[str, str]) -> Iterator[str]:
+    for stage in manifests:
+        yield f"{stage} (outdated: {outdated[stage]} was run again since)" if stage in outdated else stage
+    expected = manifests[next(iter(manifests))]["scene"].get("stages") or STAGES
+    missing = [stage for stage in expected if stage not in manifests]
     if missing:
         yield f"not finished: {', '.join(missing)}"
 
 
-def _frames(run: Run) -> Iterator[tuple[str, str]]:
-    sessions, splits = run.table("import", "sessions"), run.frames["split"].value_counts()
+def _frames(sessions: pd.DataFrame, splits: "pd.Series[int]") -> Iterator[tuple[str, str]]:
     with_vio = sessions[sessions["pose_source"] == PoseSource.VIO]
     text = f"{len(sessions)}"
     if (timed := have_times(sessions)).any():

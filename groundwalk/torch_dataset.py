@@ -3,12 +3,13 @@
 from collections.abc import Callable
 from typing import TypedDict
 
+import pandas as pd
 import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from groundwalk.run import Run
 from groundwalk.store.errors import UserError
+from groundwalk.store.images import Image
 from groundwalk.store.tables import camera_of, poses_of, with_cameras
 
 _SPLITS = ("train", "val", "test")
@@ -32,23 +33,30 @@ Transform = Callable[[Item], Item]
 
 
 class TorchDataset(Dataset[Item]):
-    """The frames of a split that have ground truth, in the order of `Run.frames`, each an `Item`.
+    """The rows of import.frames of a split that have ground truth in align.ground_truth, in their order, each an `Item`
+    with the image that `image` gives for its frame_id.
 
     The split is that of import.frames; val is a held-out part of the training walks. `transform` is applied to each
     item: images are as large as they were captured, and a batch needs them of one size.
     """
 
-    def __init__(self, run: Run, split: str | None = "train", transform: Transform | None = None) -> None:
+    def __init__(
+        self,
+        frames: pd.DataFrame,
+        truth: pd.DataFrame,
+        image: Callable[[str], Image],
+        split: str | None = "train",
+        transform: Transform | None = None,
+    ) -> None:
         if split is not None and split not in _SPLITS:
             raise UserError(f"there is no split {split!r}", expected=f"one of {', '.join(_SPLITS)}, or None for all")
-        truth = run.ground_truth
         poses = [column for column in truth.columns if column.startswith("map_cam_")]
-        frames = with_cameras(run.frames, truth).merge(
+        frames = with_cameras(frames, truth).merge(
             truth[["frame_id", "quality", *poses]], on="frame_id", validate="1:1"
         )
         here = frames["map_cam_tx"].notna() & (True if split is None else frames["split"] == split)
         frames = frames[here].reset_index(drop=True)
-        self.run, self.transform = run, transform
+        self.image, self.transform = image, transform
         self.frame_ids, self.qualities = frames["frame_id"].tolist(), frames["quality"].tolist()
         self.cameras = [camera_of(frame) for frame in frames.itertuples(index=False)]
         self.map_T_cam = torch.tensor(poses_of(frames, "map_cam"), dtype=torch.float32)
@@ -61,7 +69,7 @@ class TorchDataset(Dataset[Item]):
         distortion = torch.zeros(_COEFFICIENTS)
         distortion[: len(camera.distortion)] = torch.tensor(camera.distortion)
         item = Item(
-            image=torch.from_numpy(self.run.image(self.frame_ids[index])).permute(2, 0, 1).contiguous(),
+            image=torch.from_numpy(self.image(self.frame_ids[index])).permute(2, 0, 1).contiguous(),
             map_T_cam=self.map_T_cam[index],
             K=torch.tensor(camera.matrix, dtype=torch.float32),
             distortion=distortion,

@@ -1,6 +1,7 @@
 """The one exception for what a user can cause, and how it's shown."""
 
 from functools import partial
+from typing import Any
 
 
 class UserError(Exception):
@@ -20,7 +21,7 @@ class UserError(Exception):
         do: str | None = None,
     ) -> None:
         self.what = what
-        self.details = {"where": where, "expected": expected, "found": found, "do": do}
+        self.details: dict[str, Any] = {"where": where, "expected": expected, "found": found, "do": do}
         super().__init__(str(self))
 
     def __str__(self) -> str:

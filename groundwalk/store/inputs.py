@@ -4,7 +4,7 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -136,6 +136,36 @@ class Inputs:
                 if config.is_group:
                     named += [(group, need) for need in self.stage.needs if need in config.stages]
         return [(scene, need, self.data.run(self.profile, scene, need)) for scene, need in named]
+
+
+@contextlib.contextmanager
+def held(data: DataRoot, profile: str, scenes: Iterable[str], stages: Iterable[str]) -> Iterator[Callable[[], None]]:
+    """Captures of scenes, and the artefacts of stages that are finished, locked against being replaced or removed.
+
+    Yields a function that raises UserError where an artefact isn't any more what it was, as no lock stops other
+    programs.
+    """
+    with contextlib.ExitStack() as locks:
+        folders = []
+        for scene in dict.fromkeys(scenes):
+            if (captures := data.captures(scene)).is_dir():
+                locks.enter_context(locked(captures, shared=True))
+            for folder in (data.run(profile, scene, stage) for stage in stages):
+                if (folder / MANIFEST).is_file():
+                    locks.enter_context(locked(folder, shared=True))
+                    folders.append(folder)
+        outputs = {folder: load_verified(folder)["outputs"] for folder in folders}
+
+        def refuse_changed() -> None:
+            for folder in folders:
+                if load_verified(folder)["outputs"] != outputs[folder]:
+                    raise UserError(
+                        f"artefact {folder.name} changed while it was read",
+                        where=folder,
+                        do="wait until nothing writes there, then run the same command again",
+                    )
+
+        yield refuse_changed
 
 
 def hashes_of_named(files: Iterable[str], scene: str, data: DataRoot) -> dict[str, str]:

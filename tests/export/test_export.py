@@ -4,6 +4,7 @@ import json
 import shutil
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,11 +18,12 @@ from groundwalk.alignment.definition import STAGE
 from groundwalk.capture_import.capture import Limits, RawSession
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.export.__main__ import app
-from groundwalk.export.exporters import EXPORTERS
+from groundwalk.export.exporters import EXPORTERS, written
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
 from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.cleaning import clean_scene
 from groundwalk.store.files import sha256_of, write_json
 from groundwalk.store.manifests import output_hashes
 from groundwalk.store.schemas import schema
@@ -402,6 +404,28 @@ def test_nothing_is_overwritten_unasked_and_never_what_is_no_export(scene: DataR
     with pytest.raises(UserError, match="other files"):
         _export(scene, "colmap", "--force")
     assert (other / "thesis.txt").exists()
+
+
+@pytest.mark.parametrize("images", ["none", "copy"])
+def test_what_is_exported_is_held_and_the_same_at_the_end(
+    scene: DataRoot, monkeypatch: pytest.MonkeyPatch, images: str
+) -> None:
+    """A stage that would replace it, and `clean`, are refused meanwhile; what other programs change is noticed."""
+    truth = scene.run("tiny", "Place", "align") / "ground_truth.parquet"
+    changed = truth if images == "none" else next(scene.captures("Place").rglob("*.jpg"))
+
+    def while_it_is_written(*arguments: Any) -> list[str]:
+        with pytest.raises(UserError, match="read or removed by another run"):
+            execute(STAGE, "Place", "tiny", scene, force=True)
+        with pytest.raises(UserError, match="read or removed by another run"):
+            clean_scene(scene, "tiny", "Place")
+        changed.write_bytes(changed.read_bytes() + b"x")
+        return written(*arguments)
+
+    monkeypatch.setattr("groundwalk.export.command.written", while_it_is_written)
+    with pytest.raises(UserError, match=r"isn.t as its stage wrote it|aren.t as import saw them"):
+        _export(scene, "tum", "--images", images)
+    assert not (scene.root.parent / "out" / "tum").exists()
 
 
 def test_an_export_that_fails_leaves_nothing_behind(scene: DataRoot, monkeypatch: pytest.MonkeyPatch) -> None:
