@@ -8,8 +8,8 @@ same share; images that were swapped among poses move in no relation to them at 
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.fits import fit_robust
 from groundwalk.geometry.poses import Array, rotation_angle
@@ -113,8 +113,8 @@ def _explained(images: Array, vio: Array, common_scale: bool) -> np.ndarray:
 
 def _turn_gain(images: Array, vio: Array) -> tuple[float, float]:
     """Slope of the images' turns about the camera's x and y axes on odometry's, and its standard error."""
-    by_vio = Rotation.from_matrix(vio[:, :3, :3]).as_rotvec()[:, :2]
-    by_images = Rotation.from_matrix(images[:, :3, :3]).as_rotvec()[:, :2]
+    by_vio = scipy.spatial.transform.Rotation.from_matrix(vio[:, :3, :3]).as_rotvec()[:, :2]
+    by_images = scipy.spatial.transform.Rotation.from_matrix(images[:, :3, :3]).as_rotvec()[:, :2]
     size = np.linalg.norm(by_vio, axis=1)
     informative = (size >= MIN_TURN) & (size <= _MAX_TURN)
     by_vio, by_images, size = by_vio[informative], by_images[informative], size[informative]

@@ -1,8 +1,8 @@
 """Rigid transforms as 4x4 matrices: building, taking apart, measuring and interpolating them."""
 
 import numpy as np
+import scipy  # which loads its subpackages as they are used: spatial takes half a second
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation, Slerp
 
 from groundwalk.geometry import Array, GeometryError
 
@@ -58,14 +58,14 @@ def _first_nonzero(v: Array) -> Array:
 def quaternion_from_matrix(rotation: ArrayLike) -> Array:
     """Canonical xyzw quaternions (..., 4) of rotation matrices (..., 3, 3)."""
     rotation = np.asarray(rotation, dtype=float)
-    flat = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat()
+    flat = scipy.spatial.transform.Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat()
     return canonical_quaternion(flat.reshape(*rotation.shape[:-2], 4))
 
 
 def matrix_from_quaternion(quaternion: ArrayLike) -> Array:
     """Rotation matrices (..., 3, 3) of xyzw quaternions (..., 4)."""
     q = canonical_quaternion(quaternion)
-    return Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(*q.shape[:-1], 3, 3)
+    return scipy.spatial.transform.Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(*q.shape[:-1], 3, 3)
 
 
 def inverse(a_T_b: ArrayLike) -> Array:
@@ -94,7 +94,7 @@ def path_length(xyz: ArrayLike) -> Array:
 def rotation_angle(rotation: ArrayLike) -> Array:
     """Angles in radians, 0..pi, of rotation matrices (..., 3, 3); exact for small and large angles alike."""
     rotation = np.asarray(rotation, dtype=float)
-    flat = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).magnitude()
+    flat = scipy.spatial.transform.Rotation.from_matrix(rotation.reshape(-1, 3, 3)).magnitude()
     return np.asarray(flat).reshape(rotation.shape[:-2])
 
 
@@ -140,7 +140,8 @@ def interpolate(t_ns: ArrayLike, poses: ArrayLike, query_ns: ArrayLike) -> Array
     # Relative seconds keep nanoseconds exact enough in float64.
     seconds = (times - times[0]) * 1e-9
     query_s = (query - times[0]) * 1e-9
-    rotation = Slerp(seconds, Rotation.from_matrix(poses[:, :3, :3]))(query_s).as_matrix()
+    rotations = scipy.spatial.transform.Rotation.from_matrix(poses[:, :3, :3])
+    rotation = scipy.spatial.transform.Slerp(seconds, rotations)(query_s).as_matrix()
     translation = np.stack([np.interp(query_s, seconds, poses[:, i, 3]) for i in range(3)], axis=-1)
     return make_pose(rotation, translation)
 

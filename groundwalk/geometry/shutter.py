@@ -7,8 +7,8 @@ along its columns where an app has turned it upright.
 from collections.abc import Iterable
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.poses import Array, make_pose
 
@@ -48,4 +48,4 @@ def rows_in_camera(angular_M3: Array, velocity_M3: Array, tau_M: Array) -> Array
     It turns by its angular velocity (M, 3), rad/s, and moves by its velocity (M, 3), both in its axes.
     """
     tau = np.asarray(tau_M, float)[:, None]
-    return make_pose(Rotation.from_rotvec(angular_M3 * tau).as_matrix(), velocity_M3 * tau)
+    return make_pose(scipy.spatial.transform.Rotation.from_rotvec(angular_M3 * tau).as_matrix(), velocity_M3 * tau)

@@ -244,9 +244,9 @@ class Registry(Mapping[str, E], Generic[E]):
             except (Exception, SystemExit) as error:
                 reason = f"it can't be imported: {_in_words(error)}"
         if reason:
-            error = source.error(f"{self.record.noun} {name!r} is left out", reason)
-            others.problems.setdefault(name, []).append(error)
-            progress.console.print(f"warning: {error}")
+            problem = source.error(f"{self.record.noun} {name!r} is left out", reason)
+            others.problems.setdefault(name, []).append(problem)
+            progress.console.print(f"warning: {problem}")
         else:
             others.entries[name], others.sources[name] = cast(E, record), source
 
