@@ -1,12 +1,12 @@
 """How far VIO moves away from ground truth, in the measures that the literature uses, each named by its definition.
 
-docs/explanation/ground-truth.md lists the definitions. Paths here are poses (N, 4, 4) of the same frames in order of
+docs/explanation/consistency.md lists the definitions. Paths here are poses (N, 4, 4) of the same frames in order of
 time; the ground truth is metric and VIO as the phone gives it, so a wrong scale of VIO is drift.
 """
 
-from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -29,75 +29,41 @@ _MIN_YAW_M = 5.0
 ALL = "all"
 
 
-@dataclass
-class DriftSamples:
-    """Samples of every definition, by (definition, interval, interval_unit, unit)."""
+class DriftSamples(NamedTuple):
+    """Samples `found` (M,) of one measure over one interval."""
 
-    samples: dict[tuple[DriftDefinition, float | None, DriftInterval, str], list[float]] = field(
-        default_factory=lambda: defaultdict(list)
-    )
-
-    def add(
-        self,
-        definition: DriftDefinition,
-        interval: float | None,
-        interval_unit: DriftInterval,
-        unit: str,
-        values: Array,
-    ) -> None:
-        self.samples[definition, interval, interval_unit, unit].extend(np.asarray(values, dtype=float).tolist())
-
-    def extend(self, other: "DriftSamples") -> None:
-        for key, values in other.samples.items():
-            self.samples[key].extend(values)
-
-    def rows(self, session_id: str) -> list[dict[str, object]]:
-        """Rows of align.drift; definitions without a sample have none."""
-        rows = []
-        for (definition, interval, interval_unit, unit), values in self.samples.items():
-            if not values:
-                continue
-            v = np.array(values)
-            rows.append(
-                {
-                    "session_id": session_id,
-                    "definition": definition,
-                    "interval": interval,
-                    "interval_unit": interval_unit,
-                    "unit": unit,
-                    "samples": len(v),
-                    "mean": v.mean(),
-                    "median": np.median(v),
-                    "rms": np.sqrt(np.mean(v**2)),
-                    "p95": np.percentile(v, 95),
-                    "max": v.max(),
-                }
-            )
-        return rows
+    definition: DriftDefinition
+    interval: float | None
+    interval_unit: DriftInterval
+    unit: str
+    found: Array
 
 
-def measure_drift(t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: Array, *, is_upright: bool = True) -> DriftSamples:
+def measure_drift(
+    t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: Array, *, is_upright: bool = True
+) -> list[DriftSamples]:
     """All measures of one segment: times (N,), ground truth and VIO poses (N, 4, 4) of the same frames; those of yaw
     where both are `is_upright`."""
-    samples = DriftSamples()
     if len(t_ns) < 2:
-        return samples
-    _steps(samples, t_ns, map_T_cam, vio_T_cam)
-    _distances(samples, map_T_cam, vio_T_cam)
-    if is_upright:
-        _yaw(samples, t_ns, map_T_cam, vio_T_cam)
-    _trajectory(samples, map_T_cam[:, :3, 3], vio_T_cam[:, :3, 3], is_upright=is_upright)
-    return samples
+        return []
+    return [
+        *_steps(t_ns, map_T_cam, vio_T_cam),
+        *_distances(map_T_cam, vio_T_cam),
+        *(_yaw(t_ns, map_T_cam, vio_T_cam) if is_upright else ()),
+        *_trajectory(map_T_cam[:, :3, 3], vio_T_cam[:, :3, 3], is_upright=is_upright),
+    ]
 
 
-def drift_table(by_session: dict[str, DriftSamples]) -> pd.DataFrame:
-    """The align.drift table: each session's rows, then those of all sessions together."""
-    pooled = DriftSamples()
+def drift_table(by_session: Mapping[str, Sequence[DriftSamples]]) -> pd.DataFrame:
+    """The align.drift table: each session's rows, then those of all sessions together; of measures with a sample."""
     rows = []
-    for session_id, samples in by_session.items():
-        rows += samples.rows(session_id)
-        pooled.extend(samples)
-    rows += pooled.rows(ALL)
+    for session_id, samples in (*by_session.items(), (ALL, [s for each in by_session.values() for s in each])):
+        values: dict[tuple[object, ...], list[float]] = {}
+        for sample in samples:
+            values.setdefault(sample[:4], []).extend(sample.found.tolist())
+        for key, v in ((key, np.array(numbers)) for key, numbers in values.items() if numbers):
+            statistics = len(v), v.mean(), np.median(v), np.sqrt(np.mean(v**2)), np.percentile(v, 95), v.max()
+            rows.append((session_id, *key, *statistics))
     return pd.DataFrame(rows, columns=schema("align", "drift").column_names).astype({"interval": float})
 
 
@@ -123,30 +89,30 @@ def distance_pairs(xyz: Array, distance_m: float) -> tuple[np.ndarray, np.ndarra
     return first, last[first], travelled[last[first]] - travelled[first]
 
 
-def _steps(samples: DriftSamples, t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: Array) -> None:
+def _steps(t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: Array) -> Iterator[DriftSamples]:
     """The paper's RPE and ROE (eq. 4 and 5), and the whole relative pose, per pair of frames and per second."""
     consecutive = (np.arange(len(t_ns) - 1), np.arange(1, len(t_ns)))
     for (first, last), unit in ((consecutive, DriftInterval.PAIR), (second_pairs(t_ns), DriftInterval.SECONDS)):
         step, vio_step = relative(map_T_cam[first], map_T_cam[last]), relative(vio_T_cam[first], vio_T_cam[last])
         (length, angle), (vio_length, vio_angle) = _motion(step), _motion(vio_step)
-        samples.add(DriftDefinition.PAPER_RPE, 1.0, unit, "m", np.abs(length - vio_length))
-        samples.add(DriftDefinition.PAPER_ROE, 1.0, unit, "deg", np.abs(angle - vio_angle))
+        yield DriftSamples(DriftDefinition.PAPER_RPE, 1.0, unit, "m", np.abs(length - vio_length))
+        yield DriftSamples(DriftDefinition.PAPER_ROE, 1.0, unit, "deg", np.abs(angle - vio_angle))
         error_m, error_deg = _motion(inverse(step) @ vio_step)
-        samples.add(DriftDefinition.RELATIVE_POSITION, 1.0, unit, "m", error_m)
-        samples.add(DriftDefinition.RELATIVE_ROTATION, 1.0, unit, "deg", error_deg)
+        yield DriftSamples(DriftDefinition.RELATIVE_POSITION, 1.0, unit, "m", error_m)
+        yield DriftSamples(DriftDefinition.RELATIVE_ROTATION, 1.0, unit, "deg", error_deg)
 
 
-def _distances(samples: DriftSamples, map_T_cam: Array, vio_T_cam: Array) -> None:
+def _distances(map_T_cam: Array, vio_T_cam: Array) -> Iterator[DriftSamples]:
     """KITTI's odometry error (Geiger et al., CVPR 2012): relative motion over fixed travelled distances, divided by the
     distance between the frames, since these may be a metre apart."""
-    travelled_m = float(np.linalg.norm(np.diff(map_T_cam[:, :3, 3], axis=0), axis=1).sum())
+    travelled_m = float(path_length(map_T_cam[:, :3, 3])[-1])
     for distance_m in DISTANCES_M if travelled_m >= DISTANCES_M[0] else SHORT_DISTANCES_M:
         first, last, path_m = distance_pairs(map_T_cam[:, :3, 3], distance_m)
         step, vio_step = relative(map_T_cam[first], map_T_cam[last]), relative(vio_T_cam[first], vio_T_cam[last])
         error_m, error_deg = _motion(inverse(step) @ vio_step)
         metres = DriftInterval.METRES
-        samples.add(DriftDefinition.DISTANCE_POSITION, distance_m, metres, "%", 100 * error_m / path_m)
-        samples.add(DriftDefinition.DISTANCE_ROTATION, distance_m, metres, "deg/m", error_deg / path_m)
+        yield DriftSamples(DriftDefinition.DISTANCE_POSITION, distance_m, metres, "%", 100 * error_m / path_m)
+        yield DriftSamples(DriftDefinition.DISTANCE_ROTATION, distance_m, metres, "deg/m", error_deg / path_m)
 
 
 def _motion(a_T_b: Array) -> tuple[Array, Array]:
@@ -154,32 +120,30 @@ def _motion(a_T_b: Array) -> tuple[Array, Array]:
     return np.linalg.norm(a_T_b[:, :3, 3], axis=1), np.degrees(rotation_angle(a_T_b[:, :3, :3]))
 
 
-def _yaw(samples: DriftSamples, t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: Array) -> None:
+def _yaw(t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: Array) -> Iterator[DriftSamples]:
     """The steady rate of VIO's yaw error, by least squares over the whole segment; its size, not its sign."""
     map_R_vio = map_T_cam[:, :3, :3] @ np.swapaxes(vio_T_cam[:, :3, :3], 1, 2)
     yaw_deg = np.degrees(np.unwrap(heading(map_R_vio)))
-    minutes = (t_ns - t_ns[0]) / 60e9
-    travelled = path_length(map_T_cam[:, :3, 3])
-
-    def rate_of(independent: Array) -> Array:
-        return np.abs(np.polyfit(independent, yaw_deg, 1)[:1])
-
-    if minutes[-1] >= _MIN_YAW_S / 60:
-        samples.add(DriftDefinition.YAW_RATE, None, DriftInterval.PATH, "deg/min", rate_of(minutes))
-    if travelled[-1] >= _MIN_YAW_M:
-        samples.add(DriftDefinition.YAW_RATE, None, DriftInterval.PATH, "deg/100m", rate_of(travelled / 100))
+    minutes, travelled = (t_ns - t_ns[0]) / 60e9, path_length(map_T_cam[:, :3, 3])
+    for along, shortest, unit in (
+        (minutes, _MIN_YAW_S / 60, "deg/min"),
+        (travelled / 100, _MIN_YAW_M / 100, "deg/100m"),
+    ):
+        if along[-1] >= shortest:
+            rate = np.abs(np.polyfit(along, yaw_deg, 1)[:1])
+            yield DriftSamples(DriftDefinition.YAW_RATE, None, DriftInterval.PATH, unit, rate)
 
 
-def _trajectory(samples: DriftSamples, map_xyz: Array, vio_xyz: Array, *, is_upright: bool) -> None:
+def _trajectory(map_xyz: Array, vio_xyz: Array, *, is_upright: bool) -> Iterator[DriftSamples]:
     """ATE: position errors after a least-squares fit of the whole path (Zhang and Scaramuzza, IROS 2018)."""
 
-    def add(definition: DriftDefinition, aligned_xyz: Array) -> None:
+    def ate(definition: DriftDefinition, aligned_xyz: Array) -> DriftSamples:
         errors_m = np.linalg.norm(map_xyz - aligned_xyz, axis=1)
-        samples.add(definition, None, DriftInterval.PATH, "m", errors_m)
+        return DriftSamples(definition, None, DriftInterval.PATH, "m", errors_m)
 
     # Too few frames, or a path so straight that positions leave the fit open: this segment has no ATE.
     with suppress(GeometryError):
-        add(DriftDefinition.ATE_SE3, transform(fit_se3(map_xyz, vio_xyz), vio_xyz))
+        yield ate(DriftDefinition.ATE_SE3, transform(fit_se3(map_xyz, vio_xyz), vio_xyz))
         if is_upright:
-            add(DriftDefinition.ATE_YAW, transform(fit_yaw(map_xyz, vio_xyz), vio_xyz))
-        add(DriftDefinition.ATE_SIM3, fit_sim3(map_xyz, vio_xyz).points(vio_xyz))
+            yield ate(DriftDefinition.ATE_YAW, transform(fit_yaw(map_xyz, vio_xyz), vio_xyz))
+        yield ate(DriftDefinition.ATE_SIM3, fit_sim3(map_xyz, vio_xyz).points(vio_xyz))

@@ -1,24 +1,27 @@
-"""Ground truth of the dataset's frames, and the stage's other tables, from the models that were placed and checked."""
+"""Ground truth of the dataset's frames, and the stage's other tables, from the models as placed and checked."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from groundwalk.alignment.checked_map import CheckedMap, FrameVerdicts
 from groundwalk.alignment.checks.summary import checks_table
 from groundwalk.alignment.components import PlacedComponent
 from groundwalk.alignment.drift import DriftSamples, drift_table, measure_drift
-from groundwalk.alignment.examination import Examination
-from groundwalk.alignment.quality import count_grades, grade_frames, sfm_covariances
+from groundwalk.alignment.quality import Grade, count_grades, grade_frames
 from groundwalk.alignment.reference.agreement import agreement_table
+from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.sessions import SessionFit, fit_session, residuals_table, sessions_table
-from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.sfm_tables import covariances
 from groundwalk.alignment.uncertainty import SharedSd, covariance_in_map, largest_sd, shared_covariance
-from groundwalk.alignment.vio_links import link_covariance
 from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import QualityClass
 from groundwalk.store.tables import CAMERA_COLUMNS, dataset_frames, pose_frame, poses_of
+
+# Error (sd) that all keypoints have in common, pixels an image axis: it turns all cameras alike.
+_COMMON_KEYPOINT_SD_PX = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,132 +47,107 @@ class AlignResult:
         return self.placed[0]
 
 
-def build(frames: pd.DataFrame, images: pd.DataFrame, examination: Examination, settings: AlignSettings) -> AlignResult:
-    """Ground truth by what was examined; `frames` is import's table, `images` SfM's in its order."""
+def build(frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap, reference: Reference | None) -> AlignResult:
+    """Ground truth and how VIO and a reference agree with it; `frames` is import's table, `images` SfM's in its
+    order."""
     dataset = ~frames["support"].to_numpy(bool)
-    examination, frames = examination.where(dataset), dataset_frames(frames)
+    checked, frames = checked.where(dataset), dataset_frames(frames)
     images = images[dataset].reset_index(drop=True)
-    map_T_cam = np.full((len(frames), 4, 4), np.nan)
-    sfm_T_cam = poses_of(images, "sfm_cam")
-    for placed in examination.placed:
-        rows = placed.component.registered_rows
-        map_T_cam[rows] = placed.map_S_sfm.poses(sfm_T_cam[rows])
-    # By session, for whoever reads the table; models of one session one after the other.
-    segments = sorted(
-        ((s, p) for p in examination.placed for s in p.component.segments),
-        key=lambda item: (item[0].session_id, item[0].index, item[0].component),
-    )
-    sd, has_ground_truth = settings.fit_sd, examination.has_ground_truth
+    reference = None if reference is None else reference.where(dataset)
+    placed, verdicts = checked.placed, checked.frames
+    map_T_cam = poses_in_map(images, placed)
+    ground_truth, grades = ground_truth_table(frames, images, map_T_cam, placed, verdicts)
     fits = [
         fit_session(
-            s,
-            map_T_cam[s.rows],
-            has_ground_truth[s.rows],
-            sd,
-            is_metric=p.component.scale.is_known,
-            is_upright=examination.placed[0].component.vertical.source.is_known,
+            segment,
+            map_T_cam[segment.rows],
+            verdicts.has_ground_truth[segment.rows],
+            is_metric=each.component.scale.is_known,
+            is_upright=placed[0].component.vertical.source.is_known,
         )
-        for s, p in segments
+        for each in placed
+        for segment in each.component.segments
     ]
-    residuals = examination.residual_m, np.degrees(examination.residual_rad)
-    ground_truth, class_counts = _ground_truth(frames, images, map_T_cam, examination, settings)
+    # By session, for whoever reads the tables; models of one session one after the other.
+    fits.sort(key=lambda fit: (fit.segment.session_id, fit.segment.index, fit.segment.component))
+    drift: dict[str, list[DriftSamples]] = {}
+    for fit in fits:
+        s, rows = fit.segment, fit.compared
+        drift.setdefault(s.session_id, []).extend(
+            measure_drift(s.t_ns[rows], fit.map_T_cam[rows], s.vio_T_cam[rows], is_upright=fit.is_upright)
+        )
+    frame_id = frames["frame_id"].to_numpy(str)
     return AlignResult(
         ground_truth=ground_truth,
-        sessions=sessions_table(fits, [p for _, p in segments], settings.max_scale_sd),
-        drift=_drift(fits),
-        checks=checks_table(examination.checks),
-        residuals=residuals_table(fits, frames["frame_id"].to_numpy(str), *residuals),
-        reference_agreement=agreement_table(frames, map_T_cam, examination.placed, examination.reference),
-        class_counts=class_counts,
-        placed=examination.placed,
+        sessions=sessions_table(fits, placed),
+        drift=drift_table(drift),
+        checks=checks_table(checked.checks),
+        residuals=residuals_table(fits, frame_id, verdicts.residual_m, np.degrees(verdicts.residual_rad)),
+        reference_agreement=agreement_table(frames, map_T_cam, placed, reference),
+        class_counts=count_grades(grades),
+        placed=placed,
         map_T_cam=map_T_cam,
         fits=fits,
     )
 
 
-def camera_sd(frames: pd.DataFrame, settings: AlignSettings) -> float:
+def poses_in_map(images: pd.DataFrame, placed: Sequence[PlacedComponent]) -> Array:
+    """map_T_cam (N, 4, 4) of SfM's images that are in a placed model, with ground truth or not; else NaN."""
+    map_T_cam, sfm_T_cam = np.full((len(images), 4, 4), np.nan), poses_of(images, "sfm_cam")
+    for each in placed:
+        rows = each.component.registered_rows
+        map_T_cam[rows] = each.map_S_sfm.poses(sfm_T_cam[rows])
+    return map_T_cam
+
+
+def camera_sd(frames: pd.DataFrame) -> float:
     """Standard error, in radians, of the turn that all cameras share."""
-    return settings.common_keypoint_sd_px / float(frames["fx"].median())
+    return _COMMON_KEYPOINT_SD_PX / float(frames["fx"].median())
 
 
-class _FrameTruth(NamedTuple):
-    """By frame (N,): the model that a pose is from, -1 without ground truth; covariances (N, 6, 6), NaN where unknown,
-    of the model alone (SfM's, and the link's to the map) and in all; what its scale and vertical are by; by a VIO
-    link."""
-
-    component: np.ndarray
-    model_covariance: Array
-    covariance: Array
-    scale_source: np.ndarray
-    vertical_source: np.ndarray
-    is_linked: np.ndarray
-
-
-def _frame_truth(
-    frames: pd.DataFrame, images: pd.DataFrame, map_T_cam: Array, examination: Examination, settings: AlignSettings
-) -> _FrameTruth:
-    count, has_ground_truth = len(frames), examination.has_ground_truth
-    truth = _FrameTruth(
-        np.full(count, -1),
-        np.full((count, 6, 6), np.nan),
-        np.full((count, 6, 6), np.nan),
-        np.full(count, None, dtype=object),
-        np.full(count, None, dtype=object),
-        np.zeros(count, dtype=bool),
-    )
-    sfm_covariance = sfm_covariances(images["covariance"])
-    for placed in examination.placed:
-        component, rows = placed.component, placed.component.registered_rows
-        rows = rows[has_ground_truth[rows]]
+def ground_truth_table(
+    frames: pd.DataFrame,
+    images: pd.DataFrame,
+    map_T_cam: Array,
+    placed: Sequence[PlacedComponent],
+    verdicts: FrameVerdicts,
+) -> tuple[pd.DataFrame, list[Grade]]:
+    """The align.ground_truth table of import's frames, and the classes of those that have ground truth; `images` are
+    SfM's in the same order, `map_T_cam` (N, 4, 4) their poses."""
+    has_truth, sfm_covariance = verdicts.has_ground_truth, covariances(images["covariance"])
+    component, scale_source = np.full(len(frames), -1), np.full(len(frames), None, dtype=object)
+    is_linked = np.zeros(len(frames), dtype=bool)
+    # Of the model alone, SfM's and the link's to the map, by which frames are graded; and in all.
+    of_model, whole = np.full((2, len(frames), 6, 6), np.nan)
+    for each in placed:
+        rows = each.component.registered_rows
+        rows = rows[has_truth[rows]]
         if not len(rows):
             continue
-        truth.component[rows] = component.index
-        truth.scale_source[rows] = component.scale.source(settings.max_scale_sd)
-        truth.vertical_source[rows] = examination.placed[0].component.vertical.source
-        covariance, xyz = covariance_in_map(sfm_covariance[rows], placed.map_S_sfm), map_T_cam[rows, :3, 3]
-        anchor = xyz.mean(axis=0)
-        if placed.link is not None:
-            truth.is_linked[rows] = True
-            covariance = covariance + link_covariance(xyz, placed.links)
-            anchor = placed.link.anchor
+        component[rows], scale_source[rows] = each.component.index, each.component.scale.source
+        xyz = map_T_cam[rows, :3, 3]
+        of_model[rows], anchor = covariance_in_map(sfm_covariance[rows], each.map_S_sfm), xyz.mean(axis=0)
+        if each.link is not None:
+            is_linked[rows] = True
+            of_model[rows] += sum(link.covariance(xyz) for link in each.links)
+            anchor = each.link.anchor
         # Where the unit is SfM's, it has no error, and where up is unknown, the axes have none.
-        scale_sd, tilt_sd = np.nan_to_num([component.scale.sd, component.vertical.sd]).tolist()
-        shared = SharedSd(scale_sd, tilt_sd, camera_sd(frames, settings))
-        truth.model_covariance[rows] = covariance
-        truth.covariance[rows] = covariance + shared_covariance(map_T_cam[rows], anchor, shared)
-    return truth
-
-
-def _ground_truth(
-    frames: pd.DataFrame, images: pd.DataFrame, map_T_cam: Array, examination: Examination, settings: AlignSettings
-) -> tuple[pd.DataFrame, list[str]]:
-    """The align.ground_truth table, and how many frames have which class for which reason."""
-    has_ground_truth = examination.has_ground_truth
-    map_T_cam = np.where(has_ground_truth[:, None, None], map_T_cam, np.nan)
-    truth = _frame_truth(frames, images, map_T_cam, examination, settings)
-    sd_m, sd_rad = largest_sd(truth.model_covariance)
-    grades = grade_frames(frames, images, truth.model_covariance, examination.problem, settings)
+        scale_sd, tilt_sd = np.nan_to_num([each.component.scale.sd, each.component.vertical.sd]).tolist()
+        shared = SharedSd(scale_sd, tilt_sd, camera_sd(frames))
+        whole[rows] = of_model[rows] + shared_covariance(map_T_cam[rows], anchor, shared)
+    sd_m, sd_rad = largest_sd(of_model)
+    grades = grade_frames(frames, images, of_model, verdicts.problem)
     table = frames[["frame_id", "session_id", "split", "t_ns"]].copy()
-    table["component"] = pd.Series(truth.component, index=table.index).where(has_ground_truth).astype("Int64")
-    covariances = [c.ravel().tolist() if np.isfinite(c).all() else None for c in truth.covariance]
-    table["covariance"] = pd.Series(covariances, index=table.index, dtype=object)
-    table["position_sd_m"] = sd_m
-    table["rotation_sd_deg"] = np.degrees(sd_rad)
-    table["quality"] = np.where(has_ground_truth, [g.quality for g in grades], QualityClass.NONE)
-    table["reason"] = np.where(has_ground_truth, [g.reason for g in grades], examination.exclusion)
-    table["scale_source"] = truth.scale_source
-    table["vertical_source"] = truth.vertical_source
+    table["component"] = pd.Series(component, index=table.index).where(has_truth).astype("Int64")
+    finite = [c.ravel().tolist() if np.isfinite(c).all() else None for c in whole]
+    table["covariance"] = pd.Series(finite, index=table.index, dtype=object)
+    table["position_sd_m"], table["rotation_sd_deg"] = sd_m, np.degrees(sd_rad)
+    table["quality"] = np.where(has_truth, [g.quality for g in grades], QualityClass.NONE)
+    table["reason"] = np.where(has_truth, [g.reason for g in grades], verdicts.exclusion)
+    table["scale_source"] = scale_source
+    table["vertical_source"] = np.where(component >= 0, placed[0].component.vertical.source, None)
     # Later stages need the cameras that go with these poses, and read no table of SfM.
     table[[*CAMERA_COLUMNS, "camera_origin"]] = images[[*CAMERA_COLUMNS, "camera_origin"]]
-    table["gt_uses_vio"] = images["uses_vio"].to_numpy(bool) | truth.is_linked
-    table = pd.concat([table, pose_frame("map_cam", map_T_cam)], axis=1)
-    return table, count_grades([grades[row] for row in np.flatnonzero(has_ground_truth)])
-
-
-def _drift(fits: list[SessionFit]) -> pd.DataFrame:
-    by_session: dict[str, DriftSamples] = {}
-    for fit in fits:
-        s, rows = fit.segment, fit.compared
-        samples = measure_drift(s.t_ns[rows], fit.map_T_cam[rows], s.vio_T_cam[rows], is_upright=fit.is_upright)
-        by_session.setdefault(s.session_id, DriftSamples()).extend(samples)
-    return drift_table(by_session)
+    table["gt_uses_vio"] = images["uses_vio"].to_numpy(bool) | is_linked
+    poses = pose_frame("map_cam", np.where(has_truth[:, None, None], map_T_cam, np.nan))
+    return pd.concat([table, poses], axis=1), [grades[row] for row in np.flatnonzero(has_truth)]

@@ -6,90 +6,41 @@ frames of it don't make them smaller.
 """
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from groundwalk.alignment.components import NO_SCALE, MapScale, RecordingVertical, Vertical
 from groundwalk.alignment.segments import Segment
-from groundwalk.consistency.scale import Scale, recording_scale, robust_mean
+from groundwalk.consistency.scale import STEP_M, STEP_SCALE_SD, recording_scale, robust_mean
 from groundwalk.geometry.fits import direction_angles, fit_robust, mean_direction
 from groundwalk.geometry.poses import Array
-from groundwalk.store.choices import ScaleSource, VerticalSource
+from groundwalk.store.choices import VerticalSource
 
+# What the scale and the gravity of one recording are expected to be off by, as a fraction and in radians an axis:
+# ARKit's of real sessions differ by as much (docs/results/real.md). Observed scatter adds to them.
+_PHONE_SCALE_SD, _PHONE_TILT_SD = 0.003, float(np.radians(0.3))
 # Residuals below which a robust fit no longer tells items apart.
 _UP_FLOOR = np.radians(0.2)  # of a frame's vertical against its recording's
 _RECORDING_FLOOR = 4.0  # sigmas, of a recording against the others
 _OTHER_WORLD = np.radians(5.0)  # no error of a phone's gravity
-# Neighbouring frames' gravity has the same error: so many parts of a recording count as independent.
-_PARTS = 8
+# Neighbouring frames' gravity has the same error: so many stretches of a recording count as independent.
+_STRETCHES = 8
 
 
-@dataclass(frozen=True)
-class MapScale:
-    """Metres per SfM unit by all recordings: logarithm, standard error (NaN: unknown, the unit stays SfM's), and each
-    recording's scale. `rulers` names the rulers that logarithm and standard error are by instead, where there are any;
-    `reference` says that they are by reference poses."""
-
-    log: float
-    sd: float
-    recordings: dict[str, Scale]
-    rulers: tuple[str, ...] = ()
-    reference: ScaleSource | None = None
-
-    @property
-    def is_known(self) -> bool:
-        """The map is metric."""
-        return bool(np.isfinite(self.sd)) and self.reference is not ScaleSource.REFERENCE_UNIT_UNKNOWN
-
-    def source(self, max_sd: float) -> str:
-        """What gives it, as tables have it; above a standard error of `max_sd` it is called uncertain."""
-        if not self.is_known:
-            return self.reference or ScaleSource.NONE
-        by = f"ruler: {', '.join(self.rulers)}" if self.rulers else self.reference or ScaleSource.VIO
-        return by if self.sd <= max_sd else f"{by}, uncertain"
-
-
-NO_SCALE = MapScale(0.0, float("nan"), {})
-
-
-@dataclass(frozen=True)
-class RecordingVertical:
-    """A recording's up (3,) in SfM's axes, and the standard error of its mean, radians per axis."""
-
-    up_sfm: Array
-    sd: float
-
-
-@dataclass(frozen=True)
-class Vertical:
-    """The map's up (3,) in SfM's axes, standard error of its tilt in radians (per axis), each recording's vertical, and
-    what gives it. Where nothing does, up is any direction, and the standard error NaN. `is_agreed`: most recordings
-    have it, so that one that has another is wrong."""
-
-    up_sfm: Array
-    sd: float
-    recordings: dict[str, RecordingVertical]
-    source: VerticalSource = VerticalSource.GRAVITY
-    is_agreed: bool = True
-
-
-def common_scale(segments: list[Segment], *, step_m: float, step_sd: float, phone_sd: float) -> MapScale:
-    """Metres per SfM unit, one robust estimate over all recordings; unknown where no recording moves enough.
-
-    `step_m`: VIO path over which steps are compared, at most. `step_sd` and `phone_sd`: what the scale of a step of a
-    metre and of a phone are expected to be off by, as fractions; the observed scatter adds to them. Raises
-    GeometryError where SfM puts frames in one place that VIO says are apart.
-    """
+def common_scale(segments: list[Segment]) -> MapScale:
+    """Metres per SfM unit, one robust estimate over all recordings; unknown where no recording moves enough. Raises
+    GeometryError where SfM puts frames in one place that VIO says are apart."""
     scales = {}
     for recording in sorted({s.recording for s in segments}):
-        parts = [s.trajectory_pair for s in segments if s.recording == recording]
-        scale = recording_scale(parts, step_m=step_m, step_sd=step_sd)
+        pairs = [s.trajectory_pair for s in segments if s.recording == recording]
+        scale = recording_scale(pairs, step_m=STEP_M, step_sd=STEP_SCALE_SD)
         if scale is not None:
             scales[recording] = scale
     if not scales:
         return NO_SCALE
     logs = np.array([s.log for s in scales.values()])
-    sds = np.array([np.hypot(s.sd, phone_sd) for s in scales.values()])
+    sds = np.array([np.hypot(s.sd, _PHONE_SCALE_SD) for s in scales.values()])
     mean, robust = robust_mean(logs, sds**-2, sds, _RECORDING_FLOOR)
     weight = robust * sds**-2
     # Scatter beyond each standard error is of the phones.
@@ -98,44 +49,40 @@ def common_scale(segments: list[Segment], *, step_m: float, step_sd: float, phon
     return MapScale(mean, sd, scales)
 
 
-def common_vertical(
-    segments: list[Segment], *, phone_sd: float, max_tilt: float, tested: Collection[str] = ()
-) -> Vertical:
+def common_vertical(segments: list[Segment], *, max_tilt: float, tested: Collection[str] = ()) -> Vertical:
     """The direction of up in SfM's axes: the robust mean over recordings, or over those of them that are `tested`,
     whose gravity the images confirm. Unknown where no frame has both gravity and an SfM pose, and where recordings are
     of different worlds and nothing tells which is upright. `max_tilt`: beyond, radians, a recording has another one.
-
-    `phone_sd`: expected error of one recording's vertical in radians (per axis); the observed scatter adds to it.
     """
     verticals: dict[str, RecordingVertical] = {}
     for recording in sorted({s.recording for s in segments}):
         ups = np.concatenate([_ups(s) for s in segments if s.recording == recording])
         if len(ups):
-            verticals[recording] = _recording_vertical(ups, phone_sd)
+            verticals[recording] = _recording_vertical(ups)
     unknown = Vertical(np.array([0.0, 1.0, 0.0]), np.nan, verticals, VerticalSource.NONE)
     if not verticals:
         return unknown
     deciding = verticals.keys() & set(tested) or verticals.keys()
     ups = np.stack([verticals[recording].up_sfm for recording in sorted(deciding)])
-    up, robust = _robust_direction(ups, _RECORDING_FLOOR * phone_sd)
+    up, robust = _robust_direction(ups, _RECORDING_FLOOR * _PHONE_TILT_SD)
     angles = direction_angles(ups, up)
     if 2 * np.sum(angles <= max(max_tilt, _OTHER_WORLD)) <= len(angles):
         return replace(unknown, is_agreed=False)
     is_agreed = bool(2 * np.sum(angles <= max_tilt) > len(angles))
     # Two axes of tilt an angle; one prior observation of each keeps few recordings from looking certain.
-    variance = (np.sum(robust * angles**2) + 2 * phone_sd**2) / (2 * robust.sum())
+    variance = (np.sum(robust * angles**2) + 2 * _PHONE_TILT_SD**2) / (2 * robust.sum())
     return Vertical(up, float(np.sqrt(variance / robust.sum())), verticals, is_agreed=is_agreed)
 
 
-def _recording_vertical(ups: Array, phone_sd: float) -> RecordingVertical:
-    """From the up vectors (n, 3) of its frames in order; the standard error by the scatter of its parts, or `phone_sd`
-    where there are no two."""
+def _recording_vertical(ups: Array) -> RecordingVertical:
+    """From the up vectors (n, 3) of its frames in order; the standard error by the scatter of its stretches, or a
+    phone's where there are no two."""
     up, _ = _robust_direction(ups, _UP_FLOOR)
-    parts = [_robust_direction(part, _UP_FLOOR)[0] for part in np.array_split(ups, min(_PARTS, len(ups)))]
-    if len(parts) < 2:
-        return RecordingVertical(up, phone_sd)
-    squares = np.sum(direction_angles(np.stack(parts), up) ** 2)
-    return RecordingVertical(up, float(np.sqrt(squares / 2 / (len(parts) - 1) / len(parts))))
+    means = [_robust_direction(stretch, _UP_FLOOR)[0] for stretch in np.array_split(ups, min(_STRETCHES, len(ups)))]
+    if len(means) < 2:
+        return RecordingVertical(up, _PHONE_TILT_SD)
+    squares = np.sum(direction_angles(np.stack(means), up) ** 2)
+    return RecordingVertical(up, float(np.sqrt(squares / 2 / (len(means) - 1) / len(means))))
 
 
 def _robust_direction(directions: Array, floor: float) -> tuple[Array, Array]:

@@ -10,14 +10,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from groundwalk.alignment.checked_map import CheckedMap
 from groundwalk.alignment.checks.results import main_failure
 from groundwalk.alignment.checks.summary import describe
-from groundwalk.alignment.checks.windows import SegmentWindow
 from groundwalk.alignment.components import Component
-from groundwalk.alignment.examination import Examination
 from groundwalk.alignment.reference.poses import Reference
-from groundwalk.alignment.segments import Segment
-from groundwalk.consistency.windows import PoseSd, fit_rigid
+from groundwalk.alignment.segments import Segment, SegmentWindow
+from groundwalk.consistency.windows import POSE_SD, fit_rigid
 from groundwalk.geometry.poses import Array, transform
 from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
 
@@ -26,44 +25,46 @@ _INCHES = 3.2
 _REASON_WIDTH = 75
 
 
-def draw_checks(path: Path, examination: Examination, title: str, *, simulated: bool) -> None:
+def draw_checks(path: Path, checked: CheckedMap, reference: Reference | None, title: str, *, simulated: bool) -> None:
     """One row a session, those with most excluded frames first: plan of both paths, residual curves with limits.
 
     VIO is fitted to SfM over the whole session, rigidly and robustly; the curves are the windows' residuals. Where a
     reference gives the map, SfM's model is fitted to that as a whole, and the plan is what shows most of the path.
     """
-    by_reference = examination.reference if examination.reference_limit is not None else None
-    if by_reference is None:
-        parts = [(c, s) for c in examination.components for s in c.segments if s.has_both.any()]
-    else:
-        parts = [(c, s) for c in examination.components for s in c.segments if s.registered.any()]
-    parts.sort(key=lambda part: (-np.mean(examination.exclusion[part[1].rows] != ""), part[1].session_id))
-    drawn = parts[:_MAX_SESSIONS]
+    by_reference = reference if checked.reference_limit is not None else None
+    segments = [
+        (component, segment)
+        for component in checked.components
+        for segment in component.segments
+        if (segment.has_both if by_reference is None else segment.registered).any()
+    ]
+    segments.sort(key=lambda pair: (-np.mean(checked.frames.exclusion[pair[1].rows] != ""), pair[1].session_id))
+    drawn = segments[:_MAX_SESSIONS]
     figure = Figure(figsize=(4 * _INCHES, _INCHES * max(len(drawn), 1) + 0.6), layout="constrained")
     axes = figure.subplots(max(len(drawn), 1), 3, squeeze=False, width_ratios=[1.3, 1, 1])
     for (plan, metres, degrees), (component, segment) in zip(axes, drawn, strict=False):
         if by_reference is not None:
-            _draw_against_reference((plan, metres, degrees), examination, by_reference, component, segment)
+            _draw_against_reference((plan, metres, degrees), checked, by_reference, component, segment)
             continue
-        _draw_plan(plan, examination, component, segment)
-        windows = [w for w in examination.windows if _is_within(w, segment)]
+        _draw_plan(plan, checked, component, segment)
+        windows = [w for w in checked.windows if _is_within(w, segment)]
         limits = [(w, w.position_m, w.limit_m) for w in windows]
         _draw_curves(metres, limits, segment, "m")
         limits = [(w, np.degrees(w.rotation), float(np.degrees(w.limit_rotation))) for w in windows]
         _draw_curves(degrees, limits, segment, "deg")
-    summary, main = describe(examination.checks)[0], main_failure(examination.checks)
+    summary, main = describe(checked.checks)[0], main_failure(checked.checks)
     if main is not None:
         session = f", {main.subject.session_id}" if main.subject.session_id else ""
         summary = f"{main.cause}{session}: {main.reason}"
     kind = " (simulated)" if simulated else ""
-    more = f"; {len(parts) - len(drawn)} more without a plot" if len(parts) > len(drawn) else ""
+    more = f"; {len(segments) - len(drawn)} more without a plot" if len(segments) > len(drawn) else ""
     figure.suptitle(f"{title}{kind}: {summary}{more}", fontsize=10, wrap=True)
     figure.savefig(path, dpi=100)
 
 
 def _draw_against_reference(
     axes: tuple[Axes, Axes, Axes],
-    examination: Examination,
+    checked: CheckedMap,
     reference: Reference,
     component: Component,
     segment: Segment,
@@ -71,13 +72,13 @@ def _draw_against_reference(
     """Both paths in the two directions in which the reference extends most, and each frame's residuals in order."""
     segment = segment.where(segment.registered)
     rows, stated = segment.rows, reference.map_T_cam[segment.rows, :3, 3]
-    (placed,) = (p for p in examination.placed if p.component.index == component.index)
+    (placed,) = (p for p in checked.placed if p.component.index == component.index)
     sfm = placed.map_S_sfm.poses(segment.sfm_T_cam)[:, :3, 3]
     known = stated[np.isfinite(stated[:, 0])]
     middle = known.mean(axis=0) if len(known) else np.zeros(3)
     directions = np.linalg.svd(known - middle)[2][:2] if len(known) else np.eye(3)[:2]
     sfm, stated = (sfm - middle) @ directions.T, (stated - middle) @ directions.T
-    is_excluded = examination.exclusion[rows] != ""
+    is_excluded = checked.frames.exclusion[rows] != ""
     unit = "m" if reference.is_metric else "the reference's unit"
     plan, *curves = axes
     plan.plot(*stated.T, color=_rgb(VIO), lw=1.2, marker=".", ms=3, label="reference")
@@ -87,16 +88,10 @@ def _draw_against_reference(
     plan.set_title(f"{segment.session_id}, model {segment.component}: widest plane, {unit}", fontsize=8)
     plan.legend(fontsize=7)
     plan.tick_params(labelsize=7)
-    assert examination.reference_limit is not None
-    limit, limit_rad = examination.reference_limit
-    residuals = (
-        (examination.residual_m[rows], limit, unit),
-        (
-            np.degrees(examination.residual_rad[rows]),
-            float(np.degrees(limit_rad)),
-            "deg",
-        ),
-    )
+    assert checked.reference_limit is not None
+    limit, limit_rad = checked.reference_limit
+    degrees = np.degrees(checked.frames.residual_rad[rows])
+    residuals = (checked.frames.residual_m[rows], limit, unit), (degrees, float(np.degrees(limit_rad)), "deg")
     for axis, (values, most, name) in zip(curves, residuals, strict=True):
         axis.plot(values, color=_rgb(GROUND_TRUTH), lw=1)
         axis.plot(np.flatnonzero(values > most), values[values > most], "x", ms=4, color=_rgb(REJECTED))
@@ -107,12 +102,12 @@ def _draw_against_reference(
         axis.tick_params(labelsize=7)
 
 
-def _draw_plan(plan: Axes, examination: Examination, component: Component, segment: Segment) -> None:
+def _draw_plan(plan: Axes, checked: CheckedMap, component: Component, segment: Segment) -> None:
     both = segment.where(segment.has_both)
     metric_T_cam = component.metric_S_sfm.poses(both.sfm_T_cam)
-    metric_T_vio, _, _ = fit_rigid(metric_T_cam, both.vio_T_cam, PoseSd(0.05, 0.02))
+    metric_T_vio, _, _ = fit_rigid(metric_T_cam, both.vio_T_cam, POSE_SD)
     sfm, vio = metric_T_cam[:, :3, 3], transform(metric_T_vio, both.vio_T_cam[:, :3, 3])
-    is_excluded = examination.exclusion[both.rows] != ""
+    is_excluded = checked.frames.exclusion[both.rows] != ""
     x, z = sfm[is_excluded, 0], sfm[is_excluded, 2]
     plan.plot(vio[:, 0], vio[:, 2], color=_rgb(VIO), lw=1.2, label="VIO")
     plan.plot(sfm[:, 0], sfm[:, 2], color=_rgb(GROUND_TRUTH), lw=1.2, label="SfM")
@@ -120,7 +115,7 @@ def _draw_plan(plan: Axes, examination: Examination, component: Component, segme
     plan.set_aspect("equal", adjustable="datalim")
     plan.invert_yaxis()
     name = segment.session_id + (f", part {segment.index}" if segment.index else "")
-    reasons = Counter(examination.exclusion[both.rows[is_excluded]]).most_common(1)
+    reasons = Counter(checked.frames.exclusion[both.rows[is_excluded]]).most_common(1)
     lines = [textwrap.fill(reason, _REASON_WIDTH) for reason, _ in reasons]
     plan.set_title("\n".join([f"{name}, model {segment.component}: plan, m", *lines]), fontsize=8)
     plan.legend(fontsize=7)

@@ -6,20 +6,31 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from groundwalk.alignment.settings import AlignSettings, QualitySettings
 from groundwalk.alignment.uncertainty import largest_sd
 from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import QualityClass
 
 
-class FrameMeasures(NamedTuple):
-    """What a frame's class goes by: standard errors of its pose in SfM (NaN: unknown), points of the model seen in it,
-    mean reprojection angle."""
+class FrameEvidence(NamedTuple):
+    """What a frame's class goes by: standard errors of its pose in SfM along the least certain axis (NaN: unknown),
+    points of the model seen in it, mean reprojection angle."""
 
     position_sd_m: float
     rotation_sd_deg: float
     observations: float
     reprojection_deg: float
+
+
+# Limits of the classes, the same in every data set, so that a class means the same everywhere: 95 % bounds (2.8 sigma)
+# of A and B lie within 0.25 m and 2 degrees. Whoever needs others has the standard errors in the table.
+CLASS_A = FrameEvidence(position_sd_m=0.02, rotation_sd_deg=0.1, observations=100, reprojection_deg=0.15)
+CLASS_B = FrameEvidence(position_sd_m=0.05, rotation_sd_deg=0.3, observations=50, reprojection_deg=0.3)
+_LIMITED_BY = (
+    ("position uncertain", " m"),
+    ("rotation uncertain", " deg"),
+    ("few points seen", ""),
+    ("reprojection", " deg"),
+)
 
 
 class Grade(NamedTuple):
@@ -36,14 +47,11 @@ class Grade(NamedTuple):
         """In words; empty for A."""
         if not self.limited_by:
             return ""
-        unit = f" {self.unit}" if self.unit else ""
-        figures = f" {self.value:.3g}{unit} (limit {self.limit:g})" if np.isfinite(self.limit) else ""
+        figures = f" {self.value:.3g}{self.unit} (limit {self.limit:g})" if np.isfinite(self.limit) else ""
         return f"class {self.quality}: {self.limited_by}{figures}"
 
 
-def grade_frames(
-    frames: pd.DataFrame, images: pd.DataFrame, covariance: Array, problem: np.ndarray, settings: AlignSettings
-) -> list[Grade]:
+def grade_frames(frames: pd.DataFrame, images: pd.DataFrame, covariance: Array, problem: np.ndarray) -> list[Grade]:
     """Classes of frames (import's table, and SfM's in its order) by covariances (N, 6, 6) in metres, and why; `problem`
     (N,): what makes a frame C, empty where nothing does."""
     sd_m, sd_rad = largest_sd(covariance)
@@ -52,47 +60,33 @@ def grade_frames(
     reprojection_deg = np.degrees(
         np.arctan2(images["reprojection_px"].to_numpy(float, na_value=np.nan), frames["fx"].to_numpy(float))
     )
-    columns = (column.tolist() for column in (sd_m, np.degrees(sd_rad), observations, reprojection_deg))
-    measures = (FrameMeasures(*row) for row in zip(*columns, strict=True))
+    evidence = np.column_stack([sd_m, np.degrees(sd_rad), observations, reprojection_deg])
     return [
-        Grade(QualityClass.C, reason) if reason else grade(m, settings.quality_a, settings.quality_b)
-        for m, reason in zip(measures, problem, strict=True)
+        Grade(QualityClass.C, reason) if reason else grade(FrameEvidence(*row))
+        for row, reason in zip(evidence.tolist(), problem, strict=True)
     ]
 
 
-def grade(measures: FrameMeasures, a: QualitySettings, b: QualitySettings) -> Grade:
+def grade(evidence: FrameEvidence) -> Grade:
     """The class of a frame with ground truth by the limits of A and B, all of which it must keep; C has none. The limit
     that is exceeded most, as a ratio, is named. A frame of unknown uncertainty is no better than an uncertain one."""
-    if (exceeded := _exceeded(measures, b)) is not None:
+    if (exceeded := _exceeded(evidence, CLASS_B)) is not None:
         return Grade(QualityClass.C, *exceeded)
-    if np.isnan(measures.position_sd_m):
+    if np.isnan(evidence.position_sd_m):
         return Grade(QualityClass.C, "uncertainty unknown")
-    exceeded = _exceeded(measures, a)
+    exceeded = _exceeded(evidence, CLASS_A)
     return Grade(QualityClass.A) if exceeded is None else Grade(QualityClass.B, *exceeded)
 
 
-def _exceeded(measures: FrameMeasures, limits: QualitySettings) -> tuple[str, float, float, str] | None:
+def _exceeded(evidence: FrameEvidence, limits: FrameEvidence) -> tuple[str, float, float, str] | None:
     """The limit that is exceeded most, or None; an uncertainty that is unknown exceeds none."""
-    m, few = measures, limits.min_observations / max(measures.observations, 0.5)
-    position, rotation = m.position_sd_m / limits.max_position_sd_m, m.rotation_sd_deg / limits.max_rotation_sd_deg
-    reprojection = np.nan_to_num(m.reprojection_deg / limits.max_reprojection_deg, nan=np.inf)
-    ratio, what, value, limit, unit = max(
-        (position, "position uncertain", m.position_sd_m, limits.max_position_sd_m, "m"),
-        (rotation, "rotation uncertain", m.rotation_sd_deg, limits.max_rotation_sd_deg, "deg"),
-        (few, "few points seen", m.observations, limits.min_observations, ""),
-        (reprojection, "reprojection", m.reprojection_deg, limits.max_reprojection_deg, "deg"),
-        key=lambda entry: np.nan_to_num(entry[0], posinf=np.inf),
-    )
-    return (what, value, limit, unit) if ratio > 1 else None
-
-
-def sfm_covariances(column: pd.Series) -> Array:
-    """A column of 36 doubles or null as (N, 6, 6), NaN where null."""
-    covariance = np.full((len(column), 6, 6), np.nan)
-    for row, values in enumerate(column):
-        if values is not None and len(values) == 36:
-            covariance[row] = np.asarray(values, dtype=float).reshape(6, 6)
-    return covariance
+    ratios = np.array(evidence) / limits
+    ratios[:2] = np.nan_to_num(ratios[:2])
+    ratios[2] = 1 / max(ratios[2], 1e-3)
+    ratios[3] = np.nan_to_num(ratios[3], nan=np.inf)
+    worst = int(np.argmax(ratios))
+    what, unit = _LIMITED_BY[worst]
+    return (what, evidence[worst], limits[worst], unit) if ratios[worst] > 1 else None
 
 
 def count_grades(grades: Sequence[Grade]) -> list[str]:

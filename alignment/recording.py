@@ -1,15 +1,15 @@
 """recording.rrd: the model in the map, ground truth by quality, VIO beside it, and their distance over time."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 
-from groundwalk.alignment.ground_truth import AlignResult
+from groundwalk.alignment.components import PlacedComponent
 from groundwalk.alignment.sessions import SessionFit
-from groundwalk.alignment.settings import AlignSettings
 from groundwalk.geometry.poses import Array, quaternion_from_matrix, transform
-from groundwalk.store import StageRun
 from groundwalk.store.choices import QualityClass
 from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
 from groundwalk.store.recording import UP_AXIS, log_camera, log_path
@@ -28,16 +28,9 @@ _BOUND_95 = 2.7955
 _CAMERA_FRACTION, _CAMERA_RANGE_M = 0.04, (0.03, 0.3)
 
 
-def write_recording(
-    r: StageRun[AlignSettings],
-    result: AlignResult,
-    frames: pd.DataFrame,
-    points: pd.DataFrame,
-    depth_clouds: dict[str, Array],
-) -> None:
-    """Write the stage's recording; `frames` is import's table, `points` SfM's, `depth_clouds` points (N, 3) in the map
-    by session."""
-    blueprint = rrb.Blueprint(
+def blueprint() -> rrb.Blueprint:
+    """The map beside how far VIO is from ground truth over time."""
+    return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Spatial3DView(origin="map", name="Map: ground truth and VIO"),
             rrb.Vertical(
@@ -49,63 +42,64 @@ def write_recording(
         rrb.TimePanel(timeline=_TIMELINE, state="collapsed"),
         collapse_panels=True,
     )
-    xyz = result.ground_truth[["map_cam_tx", "map_cam_ty", "map_cam_tz"]]
-    extent_m = float(np.linalg.norm(xyz.max() - xyz.min()))
-    camera_m = float(np.clip(_CAMERA_FRACTION * extent_m, *_CAMERA_RANGE_M))
-    with r.recording(blueprint) as rec:
-        rec.log("map", UP_AXIS, static=True)
-        _log_points(rec, result, points)
-        _log_frusta(rec, result, frames, camera_m)
-        _log_ellipsoids(rec, result.ground_truth)
-        _log_depth(rec, depth_clouds)
-        sessions = sorted({fit.segment.session_id for fit in result.fits})
-        for fit in result.fits:
-            colour = _SESSION_COLOURS[sessions.index(fit.segment.session_id) % len(_SESSION_COLOURS)]
-            _log_segment(rec, fit, frames, camera_m, colour)
 
 
-def _log_points(rec: rr.RecordingStream, result: AlignResult, points: pd.DataFrame) -> None:
-    for placed in result.placed:
-        index = placed.component.index
-        of_model = points[points["model_id"] == placed.component.model_id]
-        xyz = placed.map_S_sfm.points(of_model[["x", "y", "z"]].to_numpy(float))
+def log_models(
+    rec: rr.RecordingStream,
+    placed: Sequence[PlacedComponent],
+    points: pd.DataFrame,
+    depth_clouds: Mapping[str, Array],
+) -> None:
+    """SfM's points of each model, and beside them a depth sensor's, points (N, 3) in the map by session."""
+    rec.log("map", UP_AXIS, static=True)
+    for each in placed:
+        of_model = points[points["model_id"] == each.component.model_id]
+        xyz = each.map_S_sfm.points(of_model[["x", "y", "z"]].to_numpy(float))
         colours = of_model[["r", "g", "b"]].to_numpy(np.uint8)
-        rec.log(
-            f"map/points/model_{index}",
-            rr.Points3D(xyz, colors=colours, radii=rr.Radius.ui_points(1.5)),
-            static=True,
-        )
-
-
-def _log_depth(rec: rr.RecordingStream, clouds: dict[str, Array]) -> None:
-    """A depth sensor's measurements, beside the map's points."""
-    for session_id, xyz in clouds.items():
+        cloud = rr.Points3D(xyz, colors=colours, radii=rr.Radius.ui_points(1.5))
+        rec.log(f"map/points/model_{each.component.index}", cloud, static=True)
+    for session_id, xyz in depth_clouds.items():
         cloud = rr.Points3D(xyz, colors=_DEPTH_COLOUR, radii=rr.Radius.ui_points(1.0))
         rec.log(f"map/depth/{session_id}", cloud, static=True)
         note = "depth sensor, back-projected from the ground-truth poses for comparison: no points of the map"
         rec.log(f"map/depth/{session_id}", rr.AnyValues(note=note), static=True)
 
 
-def _log_frusta(rec: rr.RecordingStream, result: AlignResult, frames: pd.DataFrame, camera_m: float) -> None:
-    """All cameras as wire pyramids, one entity a quality, so that each can be switched off.
+def log_frames(rec: rr.RecordingStream, truth: pd.DataFrame, map_T_cam: Array, frames: pd.DataFrame) -> None:
+    """All cameras map_T_cam (N, 4, 4) as wire pyramids, one entity a quality, so that each can be switched off, and
+    where each position lies with 95 %.
 
     Frames that a check excluded are shown where SfM had them, apart from the ground truth.
     """
-    quality = result.ground_truth["quality"].to_numpy(str)
-    excluded = (quality == QualityClass.NONE) & np.isfinite(result.map_T_cam[:, 0, 0])
+    quality, camera_m = truth["quality"].to_numpy(str), camera_length_m(truth)
+    excluded = (quality == QualityClass.NONE) & np.isfinite(map_T_cam[:, 0, 0])
     classes = {f"ground_truth/cameras/quality_{name}": (quality == name, c) for name, c in _QUALITY_COLOURS.items()}
     for path, (mask, colour) in (classes | {"excluded/cameras": (excluded, REJECTED)}).items():
         strips = [
-            strip
-            for row in np.flatnonzero(mask)
-            for strip in _pyramid(result.map_T_cam[row], frames.iloc[row], camera_m)
+            strip for row in np.flatnonzero(mask) for strip in _pyramid(map_T_cam[row], frames.iloc[row], camera_m)
         ]
         rec.log(f"map/{path}", rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(0.8)), static=True)
+    _log_ellipsoids(rec, truth[truth["covariance"].notna()])
+
+
+def log_sessions(rec: rr.RecordingStream, fits: Sequence[SessionFit], frames: pd.DataFrame, camera_m: float) -> None:
+    """Each session's path in ground truth and VIO, cameras of `camera_m` moving along them, and how far they are
+    apart."""
+    sessions = sorted({fit.segment.session_id for fit in fits})
+    for fit in fits:
+        colour = _SESSION_COLOURS[sessions.index(fit.segment.session_id) % len(_SESSION_COLOURS)]
+        _log_segment(rec, fit, frames, camera_m, colour)
+
+
+def camera_length_m(truth: pd.DataFrame) -> float:
+    """How long cameras are drawn."""
+    xyz = truth[["map_cam_tx", "map_cam_ty", "map_cam_tz"]]
+    extent_m = float(np.linalg.norm(xyz.max() - xyz.min()))
+    return float(np.clip(_CAMERA_FRACTION * extent_m, *_CAMERA_RANGE_M))
 
 
 def _log_ellipsoids(rec: rr.RecordingStream, gt: pd.DataFrame) -> None:
     """Where each position lies with 95 %, enlarged so that it can be seen: the entity's name says how much."""
-    gt = gt[gt["covariance"].notna()]
     if not len(gt):
         return
     covariance = np.stack(list(gt["covariance"])).reshape(-1, 6, 6)[:, 3:, 3:]

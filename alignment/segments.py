@@ -1,11 +1,13 @@
 """Segments of sessions: SfM and VIO poses of the same frames, cut where VIO jumped."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from groundwalk.consistency.trajectories import TrajectoryPair
+from groundwalk.consistency.windows import WindowResiduals
 from groundwalk.geometry.poses import Array, path_length
 from groundwalk.store.choices import Tracking
 from groundwalk.store.tables import poses_of
@@ -16,10 +18,10 @@ _UNTRACKED = (Tracking.LIMITED, Tracking.LOST)
 
 @dataclass(frozen=True, kw_only=True)
 class Segment:
-    """The frames of a session between two VIO jumps, in order of time.
+    """The frames of a session in one SfM model between two VIO jumps, in order of time.
 
     `rows` (N,) are their positions in the frames table. Poses (N, 4, 4) are NaN where SfM or VIO has none; `up_cam`
-    (N, 3) is the unit vector against gravity in camera axes, or NaN. `recording` is the same for all parts of one
+    (N, 3) is the unit vector against gravity in camera axes, or NaN. `recording` is the same for all sessions of one
     recording, which share the phone's scale and gravity errors. `component` is the SfM model that the poses are from.
     `travelled_m` (N,) is the length of VIO's path since the session's first frame, in which all its frames count; a
     frame without VIO stays where the last one was.
@@ -67,17 +69,78 @@ class Segment:
         both = self.has_both
         return TrajectoryPair(self.sfm_T_cam[both], self.vio_T_cam[both], self.travelled_m[both])
 
-    def renumbered(self, row_of: np.ndarray) -> "Segment":
-        """The segment with its rows' new positions: row_of (M,) of those in the whole frames table."""
-        return replace(self, rows=row_of[self.rows])
-
     def where(self, mask: np.ndarray) -> "Segment":
         """The segment's frames for which `mask` (N,) holds."""
         arrays = ("rows", "t_ns", "sfm_T_cam", "vio_T_cam", "up_cam", "travelled_m")
         return replace(self, **{name: getattr(self, name)[mask] for name in arrays})
 
 
-def frame_components(frames: pd.DataFrame, images: pd.DataFrame) -> tuple[list[str], np.ndarray]:
+@dataclass(frozen=True)
+class SegmentWindow(WindowResiduals):
+    """A window of a segment: `inside` (n,) are indices of its frames."""
+
+    segment: Segment
+
+
+def registered_rows(segments: Sequence[Segment], session_id: str | None = None) -> np.ndarray:
+    """Rows of the frames table that SfM has a pose for, of all sessions or of one."""
+    chosen = [s.rows[s.registered] for s in segments if session_id in (None, s.session_id)]
+    return np.concatenate([np.empty(0, np.intp), *chosen])
+
+
+def sessions_of(segments: Sequence[Segment]) -> list[str]:
+    """The sessions of segments, each once, in their order."""
+    return list(dict.fromkeys(s.session_id for s in segments))
+
+
+def cut_segments(
+    frames: pd.DataFrame,
+    images: pd.DataFrame,
+    jumps: pd.DataFrame,
+    recordings: dict[str, str],
+) -> tuple[list[str], list[Segment]]:
+    """SfM's models that frames are registered in, largest first, and all segments, by session and time; cut at VIO
+    jumps, and each of one model.
+
+    `frames` and `jumps` are import's tables, `images` SfM's in the order of `frames`; `recordings` names each session's
+    recording. A pose of limited or lost tracking counts as none.
+    """
+    names, component = _frame_components(frames, images)
+    sfm_T_cam = poses_of(images, "sfm_cam")
+    sfm_T_cam[~images["registered"].to_numpy(bool)] = np.nan
+    vio_T_cam = poses_of(frames, "vio_cam")
+    vio_T_cam[frames["tracking"].isin(_UNTRACKED).to_numpy()] = np.nan
+    up_cam = -frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
+    t_ns, session = frames["t_ns"].to_numpy(np.int64), frames["session_id"].to_numpy(str)
+    segments, travelled_m = [], np.zeros(len(frames))
+    for session_id in sorted(set(session)):
+        rows = np.flatnonzero(session == session_id)
+        rows = rows[np.argsort(t_ns[rows], kind="stable")]
+        travelled_m[rows] = _path_length(vio_T_cam[rows, :3, 3])
+        # The frame at the jump's time is the first one after it.
+        jumps_ns = np.sort(jumps.loc[jumps["session_id"] == session_id, "t_ns"].to_numpy(np.int64))
+        between_jumps = [r for r in np.split(rows, np.searchsorted(t_ns[rows], jumps_ns)) if len(r)]
+        for index, between in enumerate(between_jumps):
+            for number in np.unique(component[between]):
+                of_model = between[component[between] == number]
+                segments.append(
+                    Segment(
+                        session_id=session_id,
+                        recording=recordings.get(session_id, session_id),
+                        index=index,
+                        component=int(number),
+                        rows=of_model,
+                        t_ns=t_ns[of_model],
+                        sfm_T_cam=sfm_T_cam[of_model],
+                        vio_T_cam=vio_T_cam[of_model],
+                        up_cam=up_cam[of_model],
+                        travelled_m=travelled_m[of_model],
+                    )
+                )
+    return names, segments
+
+
+def _frame_components(frames: pd.DataFrame, images: pd.DataFrame) -> tuple[list[str], np.ndarray]:
     """The models that frames are registered in, largest first, and for each frame (N,) the index of its model.
 
     `images` are SfM's, in the order of `frames`. A frame that isn't registered counts to the model of the registered
@@ -93,56 +156,6 @@ def frame_components(frames: pd.DataFrame, images: pd.DataFrame) -> tuple[list[s
         if len(near):
             component[row] = component[near[np.argmin(np.abs(t_ns[near] - t_ns[row]))]]
     return names, component
-
-
-def cut_segments(
-    frames: pd.DataFrame,
-    images: pd.DataFrame,
-    jumps: pd.DataFrame,
-    recordings: dict[str, str],
-    component: np.ndarray,
-    *,
-    jump_m: float,
-    jump_deg: float,
-) -> list[Segment]:
-    """All segments, by session and time; cut at VIO jumps of `jump_m` or `jump_deg` or more, and each of one model.
-
-    `frames` and `jumps` are import's tables, `images` SfM's in the order of `frames`; `recordings` names each session's
-    recording, `component` (N,) is `frame_components`'s. A pose of limited or lost tracking counts as none.
-    """
-    sfm_T_cam = poses_of(images, "sfm_cam")
-    sfm_T_cam[~images["registered"].to_numpy(bool)] = np.nan
-    vio_T_cam = poses_of(frames, "vio_cam")
-    vio_T_cam[frames["tracking"].isin(_UNTRACKED).to_numpy()] = np.nan
-    up_cam = -frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
-    t_ns, session = frames["t_ns"].to_numpy(np.int64), frames["session_id"].to_numpy(str)
-    large = jumps[(jumps["jump_m"] >= jump_m) | (jumps["jump_deg"] >= jump_deg)]
-    segments, travelled_m = [], np.zeros(len(frames))
-    for session_id in sorted(set(session)):
-        rows = np.flatnonzero(session == session_id)
-        rows = rows[np.argsort(t_ns[rows], kind="stable")]
-        travelled_m[rows] = _path_length(vio_T_cam[rows, :3, 3])
-        # The frame at the jump's time is the first one after it.
-        jumps_ns = np.sort(large.loc[large["session_id"] == session_id, "t_ns"].to_numpy(np.int64))
-        parts = [p for p in np.split(rows, np.searchsorted(t_ns[rows], jumps_ns)) if len(p)]
-        for index, part in enumerate(parts):
-            for number in np.unique(component[part]):
-                of_model = part[component[part] == number]
-                segments.append(
-                    Segment(
-                        session_id=session_id,
-                        recording=recordings.get(session_id, session_id),
-                        index=index,
-                        component=int(number),
-                        rows=of_model,
-                        t_ns=t_ns[of_model],
-                        sfm_T_cam=sfm_T_cam[of_model],
-                        vio_T_cam=vio_T_cam[of_model],
-                        up_cam=up_cam[of_model],
-                        travelled_m=travelled_m[of_model],
-                    )
-                )
-    return segments
 
 
 def _path_length(xyz_N3: Array) -> Array:

@@ -8,7 +8,7 @@ import pandas as pd
 
 from groundwalk.alignment.components import PlacedComponent
 from groundwalk.alignment.segments import Segment
-from groundwalk.consistency.windows import PoseSd, fit_rigid
+from groundwalk.consistency.windows import POSE_SD, fit_rigid
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import direction_angles, fit_poses, fit_sim3, pose_residuals
 from groundwalk.geometry.poses import Array
@@ -52,7 +52,6 @@ def fit_session(
     segment: Segment,
     map_T_cam: Array,
     has_ground_truth: np.ndarray,
-    sd: PoseSd,
     *,
     is_metric: bool = True,
     is_upright: bool = True,
@@ -68,7 +67,7 @@ def fit_session(
     compared = compared if is_metric and len(compared) >= _MIN_FRAMES else compared[:0]
     is_upright = is_upright and segment.has_gravity
     (map_T_vio, rigid), (map_T_vio_yaw, yaw) = (
-        _fit_vio(map_T_cam[rows], segment.vio_T_cam[rows], sd, yaw_only=yaw_only)
+        _fit_vio(map_T_cam[rows], segment.vio_T_cam[rows], yaw_only=yaw_only)
         for yaw_only, rows in ((False, compared), (True, compared if is_upright else compared[:0]))
     )
     return SessionFit(
@@ -85,11 +84,11 @@ def fit_session(
     )
 
 
-def _fit_vio(map_T_cam: Array, vio_T_cam: Array, sd: PoseSd, *, yaw_only: bool) -> tuple[Array, PoseResiduals]:
+def _fit_vio(map_T_cam: Array, vio_T_cam: Array, *, yaw_only: bool) -> tuple[Array, PoseResiduals]:
     """map_T_vio (4, 4) of poses (n, 4, 4) and its residuals; NaN and none without poses."""
     if not len(map_T_cam):
         return np.full((4, 4), np.nan), _NO_RESIDUALS
-    map_T_vio, metres, radians = fit_rigid(map_T_cam, vio_T_cam, sd, yaw_only=yaw_only)
+    map_T_vio, metres, radians = fit_rigid(map_T_cam, vio_T_cam, POSE_SD, yaw_only=yaw_only)
     return map_T_vio, PoseResiduals(metres, np.degrees(radians))
 
 
@@ -104,9 +103,10 @@ def _similarity_residuals(map_T_cam: Array, vio_T_cam: Array) -> PoseResiduals:
     return PoseResiduals(metres, np.degrees(radians))
 
 
-def sessions_table(fits: list[SessionFit], placed: list[PlacedComponent], max_scale_sd: float) -> pd.DataFrame:
-    """The align.sessions table; `placed` is the model that each fit's frames are from, `max_scale_sd` the setting."""
-    table = pd.DataFrame([_session_row(fit, of, max_scale_sd) for fit, of in zip(fits, placed, strict=True)])
+def sessions_table(fits: list[SessionFit], placed: list[PlacedComponent]) -> pd.DataFrame:
+    """The align.sessions table."""
+    of_component = {each.component.index: each for each in placed}
+    table = pd.DataFrame([_session_row(fit, of_component[fit.segment.component]) for fit in fits])
     poses = [
         pose_frame("map_vio", np.stack([f.map_T_vio for f in fits])),
         pose_frame("map_vio_yaw", np.stack([f.map_T_vio_yaw for f in fits])),
@@ -114,7 +114,7 @@ def sessions_table(fits: list[SessionFit], placed: list[PlacedComponent], max_sc
     return pd.concat([table, *poses], axis=1)
 
 
-def _session_row(fit: SessionFit, placed: PlacedComponent, max_scale_sd: float) -> dict[str, object]:
+def _session_row(fit: SessionFit, placed: PlacedComponent) -> dict[str, object]:
     s, scale, vertical = fit.segment, placed.component.scale, placed.component.vertical
     of_recording, up = scale.recordings.get(s.recording), vertical.recordings.get(s.recording)
     ratio = None if of_recording is None else float(np.exp(of_recording.log - scale.log))
@@ -132,7 +132,7 @@ def _session_row(fit: SessionFit, placed: PlacedComponent, max_scale_sd: float) 
         "registered": int(s.registered.sum()),
         "with_ground_truth": int(fit.has_ground_truth.sum()),
         "path_m": s.path_m,
-        "scale_source": scale.source(max_scale_sd),
+        "scale_source": scale.source,
         "scale": ratio,
         "scale_sd": None if of_recording is None or ratio is None else ratio * of_recording.sd,
         "up_error_deg": up_error,
@@ -149,27 +149,23 @@ def residuals_table(
     fits: list[SessionFit], frame_id: np.ndarray, window_position_m: Array, window_rotation_deg: Array
 ) -> pd.DataFrame:
     """The align.residuals table; frame_id and the windows' residuals are over all rows of the frames table."""
-    parts = []
+    tables = []
     for fit in fits:
         s, rows = fit.segment, fit.segment.rows[fit.compared]
-        parts.append(
-            pd.DataFrame(
-                {
-                    "frame_id": frame_id[rows],
-                    "session_id": s.session_id,
-                    "segment": s.index,
-                    "component": s.component,
-                    "t_ns": s.t_ns[fit.compared],
-                    "travelled_m": s.travelled_m[fit.compared] - s.travelled_m[0],
-                    "position_m": fit.rigid.position_m,
-                    "rotation_deg": fit.rigid.rotation_deg,
-                    "window_position_m": window_position_m[rows],
-                    "window_rotation_deg": window_rotation_deg[rows],
-                }
-            )
-        )
-    columns = schema("align", "residuals").column_names
-    return pd.concat(parts, ignore_index=True)[columns]
+        columns = {
+            "frame_id": frame_id[rows],
+            "session_id": s.session_id,
+            "segment": s.index,
+            "component": s.component,
+            "t_ns": s.t_ns[fit.compared],
+            "travelled_m": s.travelled_m[fit.compared] - s.travelled_m[0],
+            "position_m": fit.rigid.position_m,
+            "rotation_deg": fit.rigid.rotation_deg,
+            "window_position_m": window_position_m[rows],
+            "window_rotation_deg": window_rotation_deg[rows],
+        }
+        tables.append(pd.DataFrame(columns))
+    return pd.concat(tables, ignore_index=True)[schema("align", "residuals").column_names]
 
 
 def _statistics(name: str, unit: str, values: Array) -> dict[str, float | None]:

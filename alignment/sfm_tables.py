@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import PairStatus
 
 # Fewer pairs of a session's frames decide nothing.
@@ -46,6 +47,18 @@ class SfmTables:
         ordered = images.set_index("frame_id").loc[frames["frame_id"]].reset_index()
         return SfmTables(ordered, intrinsics, pairs.assign(**ends))
 
+    @property
+    def registered(self) -> np.ndarray:
+        """(N,) frames that SfM has a pose for."""
+        return self.images["registered"].to_numpy(bool)
+
+    @property
+    def not_registered(self) -> np.ndarray:
+        """(N,) why SfM has no pose for a frame, empty where it has."""
+        why = self.images["not_registered"]
+        reasons = np.where(why.isna(), "SfM didn't register it", "SfM didn't register it: " + why.fillna(""))
+        return np.where(self.registered, "", reasons).astype(object)
+
     def focal(self, model_id: str, session_id: str) -> FocalEstimate | None:
         """None where the images don't determine it."""
         table = self.intrinsics
@@ -62,7 +75,11 @@ class SfmTables:
         pairs = self.pairs
         within = pairs[(pairs["session_a"] == session_id) & (pairs["session_b"] == session_id)]
         status = within["status"][within["rotation_deg"].notna()]
-        consistent = int(np.count_nonzero(status == PairStatus.VERIFIED))
-        return consistent >= _MIN_PAIRS and consistent > int(
-            np.count_nonzero(status == PairStatus.INCONSISTENT_WITH_VIO)
-        )
+        consistent = int((status == PairStatus.VERIFIED).sum())
+        return consistent >= max(_MIN_PAIRS, int((status == PairStatus.INCONSISTENT_WITH_VIO).sum()) + 1)
+
+
+def covariances(column: pd.Series) -> Array:
+    """A column of 36 doubles or null as (N, 6, 6), NaN where null."""
+    rows = [np.full(36, np.nan) if c is None else np.asarray(c, float) for c in column]
+    return np.array(rows).reshape(-1, 6, 6)

@@ -6,25 +6,25 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from groundwalk.alignment.check_models import AlignInputs, check_models, refusal
+from groundwalk.alignment.checked_map import CheckedMap
 from groundwalk.alignment.checks.depth import check_depth
 from groundwalk.alignment.checks.results import CheckResult
 from groundwalk.alignment.checks.summary import checks_table, describe
-from groundwalk.alignment.components import PlacedComponent
+from groundwalk.alignment.components import MAX_SCALE_SD, MAX_VERTICAL_SD, MapScale, Vertical
 from groundwalk.alignment.depth import DepthSamples, depth_clouds, has_depth, sample_frames
 from groundwalk.alignment.depth import agreement_table as depth_table
 from groundwalk.alignment.drift import ALL
-from groundwalk.alignment.examination import Examination, examine, refusal
 from groundwalk.alignment.ground_truth import AlignResult, build, camera_sd
-from groundwalk.alignment.inputs import AlignInputs
-from groundwalk.alignment.map_frame import MapScale
 from groundwalk.alignment.plot import draw_checks
-from groundwalk.alignment.recording import write_recording
+from groundwalk.alignment.recording import blueprint, camera_length_m, log_frames, log_models, log_sessions
 from groundwalk.alignment.reference.agreement import describe_agreement
 from groundwalk.alignment.reference.poses import Reference
-from groundwalk.alignment.rulers.measurement import RulerMeasurement, find_rulers, measure_rulers
+from groundwalk.alignment.rulers.detection import find_rulers
+from groundwalk.alignment.rulers.measurement import measure_rulers
 from groundwalk.alignment.rulers.plot import draw_rulers
+from groundwalk.alignment.rulers.scale_check import check_rulers, rulers_table
 from groundwalk.alignment.rulers.scale_check import describe as describe_ruler
-from groundwalk.alignment.rulers.scale_check import rulers_table
 from groundwalk.alignment.sessions import SessionFit
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
@@ -40,45 +40,41 @@ _TABLES = ("ground_truth", "sessions", "drift", "checks", "residuals", "referenc
 
 def run(r: StageRun[AlignSettings]) -> None:
     inputs = _read(r)
-    frames, images = inputs.frames, inputs.sfm.images
+    frames, images, reference = inputs.frames, inputs.sfm.images, inputs.reference
     with r.step("rulers"):
-        inputs = replace(inputs, rulers=_measure_rulers(r, frames, images))
-    with r.step("examine"):
-        examination = examine(inputs, r.settings)
+        rulers = measure_rulers(find_rulers(r.settings.rulers, frames, r.image_path), frames, images)
+    with r.step("checks"):
+        checked = check_models(replace(inputs, rulers=rulers), r.settings)
+        ruler_checks = check_rulers(checked.components, rulers, r.settings.max_ruler_size_error)
+        checked = replace(checked, checks=[*checked.checks, *(check.result for check in ruler_checks)])
     with r.step("plots"):
-        dataset = examination.where(~frames["support"].to_numpy(bool))
-        draw_checks(r.work / CHECKS_PLOT, dataset, r.scene.name, simulated=r.simulated)
-        if examination.rulers:
-            draw_rulers(r.work / RULERS_PLOT, examination.rulers, frames, images, r.image_path)
-    for ruler in examination.rulers:
-        if not ruler.measurement.problem:
-            r.say(describe_ruler(ruler))
-    r.write("rulers", rulers_table(examination.rulers))
-    _stop_if_refused(r, examination, frames)
+        dataset = checked.where(~frames["support"].to_numpy(bool))
+        draw_checks(r.work / CHECKS_PLOT, dataset, reference, r.scene.name, simulated=r.simulated)
+        if rulers:
+            draw_rulers(r.work / RULERS_PLOT, ruler_checks, frames, images, r.image_path)
+    for check in ruler_checks:
+        r.say(describe_ruler(check))
+    r.write("rulers", rulers_table(ruler_checks))
+    _stop_if_refused(r, checked, frames)
     with r.step("depth"):
-        depth, depth_checks = _check_by_depth(r, frames, images, examination)
-    examination = replace(examination, checks=[*examination.checks, *depth_checks])
+        depth, depth_checks = _check_by_depth(r, frames, images, checked)
+    checked = replace(checked, checks=[*checked.checks, *depth_checks])
     r.write("depth_agreement", depth)
     with r.step("align"):
-        result = build(frames, images, examination, r.settings)
+        result = build(frames, images, checked, reference)
     for table in _TABLES:
         r.write(table, getattr(result, table))
-    frames = dataset_frames(frames)
-    registered = int(dataset.registered.sum())
+    registered, frames = int(dataset.frames.registered.sum()), dataset_frames(frames)
     _write_figures(r, frames, result, registered)
-    reference = examination.reference
-    origin = reference.origin if reference is not None and reference.gives_map else None
-    for axis, value in zip("xyz", origin or [None] * 3, strict=True):
-        r.figure(f"map_origin_{axis}", value)
-    for line in _summary(r.settings, result, examination.checks, registered):
+    for line in _summary(result, checked.checks, registered):
         r.say(line)
-    if origin is not None and any(origin):
-        r.say(f"map: its origin is at ({', '.join(f'{v:.12g}' for v in origin)}) of the reference's own coordinates")
-    clouds = {}
-    if len(depth) and result.main.component.scale.is_known:
-        clouds = depth_clouds(frames, result.map_T_cam, dataset.has_ground_truth, r.image_path)
-    with r.step("recording"):
-        write_recording(r, result, frames, r.read("sfm", "points"), clouds)
+    _write_origin(r, reference)
+    with r.step("recording"), r.recording(blueprint()) as rec:
+        has_truth, is_metric = dataset.frames.has_ground_truth, result.main.component.scale.is_known
+        clouds = depth_clouds(frames, result.map_T_cam, has_truth, r.image_path) if len(depth) and is_metric else {}
+        log_models(rec, result.placed, r.read("sfm", "points"), clouds)
+        log_frames(rec, result.ground_truth, result.map_T_cam, frames)
+        log_sessions(rec, result.fits, frames, camera_length_m(result.ground_truth))
 
 
 def _read(r: StageRun[AlignSettings]) -> AlignInputs:
@@ -96,38 +92,28 @@ def _read(r: StageRun[AlignSettings]) -> AlignInputs:
     )
 
 
-def _measure_rulers(r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame) -> list[RulerMeasurement]:
-    detections = find_rulers(r.settings.rulers, frames, r.image_path)
-    min_angle, max_sd = float(np.radians(r.settings.ruler_min_angle_deg)), r.settings.ruler_max_sd
-    measurements = measure_rulers(detections, frames, images, min_angle=min_angle, max_sd=max_sd)
-    for measurement in measurements:
-        if measurement.problem:
-            r.say(f"ruler {measurement.ruler.name}: undecided: {measurement.problem}")
-    return measurements
-
-
-def _stop_if_refused(r: StageRun[AlignSettings], examination: Examination, frames: pd.DataFrame) -> None:
+def _stop_if_refused(r: StageRun[AlignSettings], checked: CheckedMap, frames: pd.DataFrame) -> None:
     """UserError where there is no ground truth; the checks' table and plot are left to look at."""
-    error = refusal(examination, frames, r.settings)
+    error = refusal(checked, frames, r.settings)
     if error is not None:
-        r.write("checks", checks_table(examination.checks))
+        r.write("checks", checks_table(checked.checks))
         error.details["do"] = f"look at {r.work / CHECKS_PLOT}; {error.details['do']}"
         raise error
 
 
 def _check_by_depth(
-    r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame, examination: Examination
+    r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap
 ) -> tuple[pd.DataFrame, list[CheckResult]]:
     """The depth_agreement table, and the checks by it where the map is metric."""
     if not has_depth(frames):
         return depth_table(DepthSamples.empty(), r.seed), []
-    folders, placed = r.read("sfm", "models").set_index("model_id")["folder"], examination.placed
-    used = examination.has_ground_truth
+    folders, placed = r.read("sfm", "models").set_index("model_id")["folder"], checked.placed
+    used = checked.frames.has_ground_truth
     samples = sample_frames(frames, images, used, placed, lambda name: r.folder("sfm") / folders[name], r.image_path)
     agreement = depth_table(samples, r.seed)
     if not placed[0].component.scale.is_known:
         return agreement, []
-    checks, lines = check_depth(agreement, r.settings)
+    checks, lines = check_depth(agreement)
     for line in lines:
         r.say(line)
     return agreement, checks
@@ -145,12 +131,12 @@ def _write_figures(r: StageRun[AlignSettings], frames: pd.DataFrame, result: Ali
         "components": len(result.placed),
         "linked_by_vio": int(gt["gt_uses_vio"].sum()),
         "metres_per_sfm_unit": main.map_S_sfm.scale,
-        "scale_source": scale.source(r.settings.max_scale_sd),
+        "scale_source": scale.source,
         "vertical_source": vertical.source,
         "scale_sd": _or_none(scale.sd),
         "session_scale_spread": _or_none(sessions["scale"].max() - sessions["scale"].min()),
         "vertical_sd_deg": _or_none(float(np.degrees(vertical.sd))),
-        "camera_sd_deg": float(np.degrees(camera_sd(frames, r.settings))),
+        "camera_sd_deg": float(np.degrees(camera_sd(frames))),
         "vertical_correction_deg": _or_none(sessions["up_error_deg"].max()),
         "position_rms_m": _pooled_rms(sessions["position_rms_m"], sessions["with_ground_truth"]),
         "rotation_rms_deg": _pooled_rms(sessions["rotation_rms_deg"], sessions["with_ground_truth"]),
@@ -167,7 +153,7 @@ def _write_figures(r: StageRun[AlignSettings], frames: pd.DataFrame, result: Ali
         r.figure(name, value)
 
 
-def _summary(settings: AlignSettings, result: AlignResult, checks: Sequence[CheckResult], registered: int) -> list[str]:
+def _summary(result: AlignResult, checks: Sequence[CheckResult], registered: int) -> list[str]:
     """Lines for the user."""
     quality = result.ground_truth["quality"]
     counts = {name: int((quality == name).sum()) for name in QualityClass}
@@ -177,7 +163,7 @@ def _summary(settings: AlignSettings, result: AlignResult, checks: Sequence[Chec
     return [
         f"{registered} of {len(quality)} frames registered, {with_pose} with ground truth ({classes})",
         *(f"  {line}" for line in result.class_counts),
-        f"map: {_describe_scale(scale, settings)}, vertical {_describe_vertical(result.main, settings)}",
+        f"map: {_describe_scale(scale)}, vertical {_describe_vertical(result.main.component.vertical)}",
         *describe_agreement(result.reference_agreement, result.ground_truth),
         *(
             f"model {placed.component.index}, {placed.component.frames} frames: in the map by VIO alone, over "
@@ -190,32 +176,30 @@ def _summary(settings: AlignSettings, result: AlignResult, checks: Sequence[Chec
     ]
 
 
-def _describe_scale(scale: MapScale, settings: AlignSettings) -> str:
+def _describe_scale(scale: MapScale) -> str:
     if scale.reference is ScaleSource.REFERENCE_UNIT_UNKNOWN:
         per_unit = f"{np.exp(scale.log):.6g} of it per SfM unit"
         return f"NO METRIC SCALE: all lengths are in the reference's unknown unit, {per_unit}"
     if not scale.is_known:
         return "NO METRIC SCALE: VIO hardly moves, all lengths are in SfM's unit; add a longer walk or a ruler"
-    by = scale.source(np.inf) if scale.rulers or scale.reference else f"{len(scale.recordings)} VIO recordings"
+    by = scale.by if scale.rulers or scale.reference else f"{len(scale.recordings)} VIO recordings"
     if scale.reference:
         by += " (± of the fit to it; its own error is unknown)"
     text = f"{np.exp(scale.log):.6g} m per SfM unit ± {100 * scale.sd:.2f} % from {by}"
-    return text if scale.sd <= settings.max_scale_sd else f"{text}, UNCERTAIN: above {100 * settings.max_scale_sd:g} %"
+    return text if scale.sd <= MAX_SCALE_SD else f"{text}, UNCERTAIN: above {100 * MAX_SCALE_SD:g} %"
 
 
-def _describe_vertical(main: PlacedComponent, settings: AlignSettings) -> str:
-    vertical = main.component.vertical
+def _describe_vertical(vertical: Vertical) -> str:
     if vertical.source is VerticalSource.NONE:
         differ = "the sessions' gravity differs, and nothing tells which is right"
         return f"UNKNOWN: {differ if vertical.recordings else 'no session has gravity'}; +y may point anywhere"
-    sd_deg = float(np.degrees(vertical.sd))
-    text, limit_deg = f"± {sd_deg:.2f}° from {vertical.source}", settings.max_vertical_sd_deg
-    return text if sd_deg <= limit_deg else f"{text}, UNCERTAIN: above {limit_deg:g}°"
+    text = f"± {np.degrees(vertical.sd):.2f}° from {vertical.source}"
+    return text if vertical.sd <= MAX_VERTICAL_SD else f"{text}, UNCERTAIN: above {np.degrees(MAX_VERTICAL_SD):g}°"
 
 
 def _describe_fit(fit: SessionFit) -> str:
     """One line on how a session's VIO compares with the ground truth."""
-    name = f"{fit.segment.session_id}, part {fit.segment.index}"
+    name = f"{fit.segment.session_id}, segment {fit.segment.index}"
     if fit.segment.component:
         name += f" in model {fit.segment.component}"
     if not len(fit.compared):
@@ -230,6 +214,15 @@ def _describe_fit(fit: SessionFit) -> str:
         f"{text}; after a Sim3 fit {1000 * _rms(fit.sim3.position_m):.1f} mm RMS, rotation median "
         f"{np.median(fit.sim3.rotation_deg):.2f}°"
     )
+
+
+def _write_origin(r: StageRun[AlignSettings], reference: Reference | None) -> None:
+    """Where the map's origin is in the coordinates of the reference that gives it, as figures and for the user."""
+    origin = reference.origin if reference is not None and reference.gives_map else None
+    for axis, value in zip("xyz", origin or [None] * 3, strict=True):
+        r.figure(f"map_origin_{axis}", value)
+    if origin is not None and any(origin):
+        r.say(f"map: its origin is at ({', '.join(f'{v:.12g}' for v in origin)}) of the reference's own coordinates")
 
 
 def _rms(values: Array) -> float:

@@ -1,28 +1,20 @@
 """All SfM models in one map: what no view ties to the first is linked to it by VIO over a short path."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from groundwalk.alignment.components import Component, PlacedComponent, VioLink
+from groundwalk.alignment.components import Component, PlacedComponent, UnlinkedComponent, VioLink
 from groundwalk.alignment.segments import Segment
-from groundwalk.alignment.settings import AlignSettings
-from groundwalk.consistency.windows import PoseSd, fit_rigid
+from groundwalk.consistency.vio_drift import VIO_DRIFT
+from groundwalk.consistency.windows import POSE_SD, WINDOW_M, PoseSd, fit_rigid
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, rotation_angle, transform
 
 _MIN_FRAMES = 3
-
-
-@dataclass(frozen=True)
-class UnlinkedComponent:
-    """A component that isn't in the map, and why: `gap_m` is the shortest VIO path to the map, if there is any."""
-
-    component: Component
-    gap_m: float | None
-    reason: str
+# VIO's drift (sd) over a metre, in position and heading; it grows with the square root of the path. What phones were
+# measured to drift by (docs/explanation/vio-drift.md).
+_DRIFT = PoseSd(0.03, float(np.radians(0.6)))
 
 
 class _Candidate(NamedTuple):
@@ -37,92 +29,73 @@ class _Candidate(NamedTuple):
 
 
 def place_components(
-    components: list[Component], used: np.ndarray, settings: AlignSettings
+    components: list[Component], used: np.ndarray, max_link_m: float
 ) -> tuple[list[PlacedComponent], list[UnlinkedComponent]]:
     """Put components (largest first) into one map. `used` (N,): frames of the frames table to fit.
 
     The first component gives origin and heading. Each other one is linked by VIO alone, through a session that has
-    frames in it and in the map, over the shortest path of at most `vio_link_m`; half a window around it is fitted on
+    frames in it and in the map, over the shortest path of at most `max_link_m`; half a window around it is fitted on
     both sides. Links through several sessions must agree within VIO's drift.
     """
     first = components[0]
     # Without a scale positions say nothing of the heading.
-    sd = settings.fit_sd if first.scale.is_known else PoseSd(np.inf, settings.fit_sd.rotation)
+    sd = POSE_SD if first.scale.is_known else PoseSd(np.inf, POSE_SD.rotation)
     placed = [PlacedComponent(first, _origin(first, used, sd) @ first.metric_S_sfm)]
     waiting = list(components[1:])
     candidates: dict[int, list[_Candidate]] = {}
     while waiting:
-        candidates = {c.index: _candidates(placed, c, used, settings) for c in waiting}
-        near = [c for c in waiting if _is_linked(candidates[c.index], settings)]
+        candidates = {c.index: _candidates(placed, c, used) for c in waiting}
+        near = [c for c in waiting if _is_linked(candidates[c.index], max_link_m)]
         if not near:
             break
         nearest = min(near, key=lambda c: candidates[c.index][0].link.gap_m)
         links, map_S_metric = candidates[nearest.index][0]
         placed.append(PlacedComponent(nearest, map_S_metric @ nearest.metric_S_sfm, links))
         waiting.remove(nearest)
-    return placed, [_unlinked(c, candidates[c.index], settings) for c in waiting]
+    return placed, [_unlinked(c, candidates[c.index], max_link_m) for c in waiting]
 
 
-def link_covariance(map_xyz: Array, links: Sequence[VioLink]) -> Array:
-    """Covariances (N, 6, 6) at positions (N, 3) of a component at the end of these links: each turns and shifts all
-    that is behind it."""
-    total = np.zeros((len(map_xyz), 6, 6))
-    for link in links:
-        arm = np.asarray(map_xyz, dtype=float) - link.anchor
-        jacobian = np.zeros((len(arm), 6, 4))
-        jacobian[:, 1, 0] = 1.0
-        jacobian[:, 3:, 0] = np.cross([0.0, 1.0, 0.0], arm)
-        jacobian[:, 3:, 1:] = np.eye(3)
-        variance = np.array([link.heading_sd, *[link.position_sd_m] * 3]) ** 2
-        total += np.einsum("nij,j,nkj->nik", jacobian, variance, jacobian)
-    return total
+def _is_linked(candidates: list[_Candidate], max_link_m: float) -> bool:
+    is_near = bool(candidates) and candidates[0].link.gap_m <= max_link_m
+    return is_near and not _contradiction(candidates, max_link_m)
 
 
-def _is_linked(candidates: list[_Candidate], settings: AlignSettings) -> bool:
-    is_near = bool(candidates) and candidates[0].link.gap_m <= settings.vio_link_m
-    return is_near and not _contradiction(candidates, settings)
-
-
-def _unlinked(component: Component, candidates: list[_Candidate], settings: AlignSettings) -> UnlinkedComponent:
+def _unlinked(component: Component, candidates: list[_Candidate], max_link_m: float) -> UnlinkedComponent:
     if not candidates:
         sessions = ", ".join(sorted({s.session_id for s in component.segments}))
         return UnlinkedComponent(component, None, f"no view and no VIO path links {sessions} to the map")
     gap_m = candidates[0].link.gap_m
-    if gap_m <= settings.vio_link_m:
-        return UnlinkedComponent(
-            component, gap_m, f"VIO links contradict each other: {_contradiction(candidates, settings)}"
-        )
+    if gap_m <= max_link_m:
+        contradiction = _contradiction(candidates, max_link_m)
+        return UnlinkedComponent(component, gap_m, f"VIO links contradict each other: {contradiction}")
     reason = f"no view links it to the map; VIO path without a registered frame {gap_m:.1f} m"
     return UnlinkedComponent(component, gap_m, reason)
 
 
-def _candidates(
-    placed: list[PlacedComponent], component: Component, used: np.ndarray, settings: AlignSettings
-) -> list[_Candidate]:
-    """Links of a component to those in the map, by every piece of a session that has frames in both; shortest first."""
+def _candidates(placed: list[PlacedComponent], component: Component, used: np.ndarray) -> list[_Candidate]:
+    """Links of a component to those in the map, by sessions that go from one to the other without a VIO jump; shortest
+    first."""
     candidates = [
-        _candidate(each, component, _usable(a, used), _usable(b, used), settings)
+        _candidate(each, component, _usable(a, used), _usable(b, used))
         for each in placed
-        for a in (each.component.pieces if each.component.scale.is_known else [])
-        for b in component.pieces
+        for a in (each.component.segments if each.component.scale.is_known else [])
+        for b in component.segments
         if (a.session_id, a.index) == (b.session_id, b.index)
     ]
     return sorted((c for c in candidates if c is not None), key=lambda candidate: candidate.link.gap_m)
 
 
-def _usable(piece: Segment, used: np.ndarray) -> Segment:
-    return piece.where(piece.has_both & used[piece.rows])
+def _usable(segment: Segment, used: np.ndarray) -> Segment:
+    return segment.where(segment.has_both & used[segment.rows])
 
 
-def _candidate(
-    placed: PlacedComponent, component: Component, a: Segment, b: Segment, settings: AlignSettings
-) -> _Candidate | None:
+def _candidate(placed: PlacedComponent, component: Component, a: Segment, b: Segment) -> _Candidate | None:
     """A link through the frames `a` of a placed component and `b` of another; None where they are too few."""
     if min(len(a.rows), len(b.rows)) < _MIN_FRAMES:
         return None
-    window_m, drift = settings.window_m / 2, settings.vio_link_sd
+    window_m = WINDOW_M / 2
     # Drift bends the path within a window more than it turns the camera: rotations determine the heading.
-    bending = PoseSd(drift.position_m * np.sqrt(window_m), drift.rotation * np.sqrt(window_m))
+    bending = PoseSd(_DRIFT.position_m * np.sqrt(window_m), _DRIFT.rotation * np.sqrt(window_m))
     along_a, along_b = a.travelled_m, b.travelled_m
     nearest = np.unravel_index(np.argmin(np.abs(along_a[:, None] - along_b)), (len(along_a), len(along_b)))
     gap_m = float(abs(along_a[nearest[0]] - along_b[nearest[1]]))
@@ -141,22 +114,23 @@ def _candidate(
         gap_m,
         path_m,
         transform(map_T_vio, b.vio_T_cam[near_b, :3, 3]).mean(axis=0),
-        float(np.hypot(settings.fit_sd.position_m, drift.position_m * np.sqrt(path_m))),
-        float(drift.rotation * np.sqrt(path_m)),
+        float(np.hypot(POSE_SD.position_m, _DRIFT.position_m * np.sqrt(path_m))),
+        float(_DRIFT.rotation * np.sqrt(path_m)),
     )
     return _Candidate((*placed.links, link), Sim3(1.0, map_T_metric[:3, :3], map_T_metric[:3, 3]))
 
 
-def _contradiction(candidates: list[_Candidate], settings: AlignSettings) -> str | None:
+def _contradiction(candidates: list[_Candidate], max_link_m: float) -> str | None:
     """Where another link that isn't too long puts the component elsewhere than the first one does; None if none
     does."""
     link, map_S_metric = candidates[0].link, candidates[0].map_S_metric
-    anchor, drift = map_S_metric.inverse().points(link.anchor), settings.vio_drift
+    anchor = map_S_metric.inverse().points(link.anchor)
     for candidate in candidates[1:]:
         other, other_S_metric = candidate.link, candidate.map_S_metric
-        if other.gap_m > settings.vio_link_m:
+        if other.gap_m > max_link_m:
             continue
-        limit_m, limit_rad = (float(law(link.path_m + other.path_m)) for law in (drift.metres, drift.radians))
+        path_m = link.path_m + other.path_m
+        limit_m, limit_rad = float(VIO_DRIFT.metres(path_m)), float(VIO_DRIFT.radians(path_m))
         turn = float(rotation_angle(other_S_metric.rotation @ map_S_metric.rotation.T))
         shift_m = float(np.linalg.norm(other_S_metric.points(anchor) - link.anchor))
         arm_m = float(np.linalg.norm(link.anchor - other.anchor))

@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from groundwalk.alignment.examination import examine, refusal
+from groundwalk.alignment.check_models import AlignInputs, check_models, refusal
 from groundwalk.alignment.ground_truth import AlignResult, build
-from groundwalk.alignment.inputs import AlignInputs
+from groundwalk.alignment.rulers.scale_check import check_rulers
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
 from groundwalk.alignment.uncertainty import covariance_in_map
@@ -114,11 +114,13 @@ class Scene:
 
 def align(inputs: AlignInputs, settings: AlignSettings) -> AlignResult:
     """The whole alignment; UserError where it gives no ground truth."""
-    examination = examine(inputs, settings)
-    error = refusal(examination, inputs.frames, settings)
+    checked = check_models(inputs, settings)
+    rulers = check_rulers(checked.components, inputs.rulers, settings.max_ruler_size_error)
+    checked = replace(checked, checks=[*checked.checks, *(ruler.result for ruler in rulers)])
+    error = refusal(checked, inputs.frames, settings)
     if error is not None:
         raise error
-    return build(inputs.frames, inputs.sfm.images, examination, settings)
+    return build(inputs.frames, inputs.sfm.images, checked, inputs.reference)
 
 
 def _walk(rng: np.random.Generator, w: Walks) -> np.ndarray:

@@ -77,21 +77,20 @@ DEFINITIONS = {
     CheckName.SESSION_MOTION: CheckDefinition(
         estimate="steps that VIO explains",
         unit=CheckUnit.FRACTION,
-        remedy=f"{_EXCLUDE_SESSION}, or lower {setting_of('align', 'min_motion_agreement')}",
+        remedy=_EXCLUDE_SESSION,
         evidence="a longer walk with turns",
         limit_is_minimum=True,
     ),
     CheckName.SESSION_TURNS: CheckDefinition(
         estimate="turns in SfM against VIO's",
         unit=CheckUnit.FRACTION,
-        remedy=f"correct the captured focal length, or raise {setting_of('align', 'max_turn_gain_error')}",
+        remedy=f"correct the captured focal length, or {_EXCLUDE_SESSION}",
         evidence="a walk with more turns",
     ),
     CheckName.SESSION_ALIASING: CheckDefinition(
         estimate="frames at places that are far apart in VIO",
         unit=CheckUnit.FRACTION,
-        remedy="capture again with distinctive views of each place, or raise "
-        f"{setting_of('align', 'max_aliased_fraction')}",
+        remedy=f"capture again with distinctive views of each place, or {_EXCLUDE_SESSION}",
     ),
     CheckName.SESSION_SCALE: CheckDefinition(
         estimate="the session's scale against the others'",
@@ -115,38 +114,37 @@ DEFINITIONS = {
     CheckName.WINDOW_POSITION: CheckDefinition(
         estimate="largest distance between SfM and VIO in a window",
         unit=CheckUnit.METRES,
-        remedy=f"capture again with more overlap there, or raise {setting_of('align', 'vio_drift_m')}",
+        remedy="capture again with more overlap there",
         evidence="more images there",
     ),
     CheckName.WINDOW_ROTATION: CheckDefinition(
         estimate="largest angle between SfM and VIO in a window",
         unit=CheckUnit.DEGREES,
-        remedy=f"capture again with more overlap there, or raise {setting_of('align', 'vio_drift_deg')}",
+        remedy="capture again with more overlap there",
         evidence="more images there",
     ),
     CheckName.SESSION_REFERENCE: CheckDefinition(
         estimate="frames away from their reference poses",
         unit=CheckUnit.FRACTION,
         remedy=f"correct the data set's poses or intrinsics, {_EXCLUDE_SESSION}, or raise "
-        f"{setting_of('align', 'max_reference_error_m')}, max_reference_error_fraction or max_reference_error_deg",
+        f"{setting_of('align', 'max_reference_error_m')} or max_reference_error_deg",
     ),
     CheckName.SESSION_DEPTH_SCALE: CheckDefinition(
         estimate="the depth sensor's depth against the map's",
         unit=CheckUnit.FRACTION,
-        remedy="measure a length in the scene with a ruler, to see whether map or sensor is wrong; or raise "
-        f"{setting_of('align', 'max_depth_scale_error')}",
+        remedy="measure a length in the scene with a ruler, to see whether map or sensor is wrong",
         evidence="more frames with depth, nearer to the surfaces in view",
     ),
     CheckName.SESSION_DEPTH_BY_DISTANCE: CheckDefinition(
         estimate="the depth sensor's depth against the map's, between near and far points",
         unit=CheckUnit.FRACTION,
-        remedy=f"check the captured focal length and lens; or raise {setting_of('align', 'max_depth_spread')}",
+        remedy="check the captured focal length and lens",
         evidence="more frames with depth",
     ),
     CheckName.SESSION_UNCERTAIN: CheckDefinition(
         estimate="uncertain frames that are inconsistent with VIO",
         unit=CheckUnit.FRACTION,
-        remedy=f"capture with more overlap between images, or raise {setting_of('align', 'max_uncertain_deviation')}",
+        remedy="capture with more overlap between images",
     ),
     CheckName.COMPONENT_LINK: CheckDefinition(
         estimate="VIO path between the SfM models",

@@ -5,15 +5,16 @@ import pandas as pd
 
 from groundwalk.alignment.checks.results import CheckResult, Failure, Quantity, Subject, evaluate
 from groundwalk.alignment.depth import HIGH_CONFIDENCE, MAX_RANGE_M
-from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.decisions import Status
 from groundwalk.store.choices import CheckName, FailureCause
 
+# Phones' depth sensors are off by some per cent: more says that map or sensor is wrong.
+_MAX_SCALE_ERROR, _MAX_SPREAD = 0.05, 0.05
 # Fewer samples or frames decide nothing.
 _MIN_SAMPLES, _MIN_FRAMES = 100, 3
 
 
-def check_depth(agreement: pd.DataFrame, settings: AlignSettings) -> tuple[list[CheckResult], list[str]]:
+def check_depth(agreement: pd.DataFrame) -> tuple[list[CheckResult], list[str]]:
     """Checks of each session's scale and geometry by its depth (the align.depth_agreement table), and lines for the
     user. A failure excludes no frame: map or sensor may be what is wrong."""
     results, lines = list[CheckResult](), []
@@ -29,8 +30,11 @@ def check_depth(agreement: pd.DataFrame, settings: AlignSettings) -> tuple[list[
             reason = f"too little depth within {MAX_RANGE_M:g} m to check the map by"
             lines.append(f"{session_id}: {reason}")
             subject, failure = Subject(int(of_session["frames"].max()), session_id, int(component)), _failure(reason)
-            limit, status = settings.max_depth_scale_error, Status.UNDECIDED
-            results.append(evaluate(CheckName.SESSION_DEPTH_SCALE, subject, Quantity(), limit, failure, status))
+            results.append(
+                evaluate(
+                    CheckName.SESSION_DEPTH_SCALE, subject, Quantity(), _MAX_SCALE_ERROR, failure, Status.UNDECIDED
+                )
+            )
             continue
         whole, bins = rows[is_whole].iloc[0], rows[~is_whole & (rows["far_m"] <= MAX_RANGE_M)]
         subject = Subject(int(whole["frames"]), session_id, int(component))
@@ -40,14 +44,14 @@ def check_depth(agreement: pd.DataFrame, settings: AlignSettings) -> tuple[list[
             f"(± {sd:.2%}, {whole['samples']} points in {whole['frames']} frames)"
         )
         lines.append(f"{session_id}: {reason}")
-        estimate, limit = Quantity(abs(error), sd), settings.max_depth_scale_error
-        results.append(evaluate(CheckName.SESSION_DEPTH_SCALE, subject, estimate, limit, _failure(reason)))
+        estimate = Quantity(abs(error), sd)
+        results.append(evaluate(CheckName.SESSION_DEPTH_SCALE, subject, estimate, _MAX_SCALE_ERROR, _failure(reason)))
         if len(bins) > 1:
-            results.append(_check_by_distance(bins, subject, settings))
+            results.append(_check_by_distance(bins, subject))
     return results, lines
 
 
-def _check_by_distance(bins: pd.DataFrame, subject: Subject, settings: AlignSettings) -> CheckResult:
+def _check_by_distance(bins: pd.DataFrame, subject: Subject) -> CheckResult:
     """The largest difference between the ratios of two distances, rows of the depth_agreement table."""
     ordered = bins.sort_values("median_ratio")
     low, high = ordered.iloc[0], ordered.iloc[-1]
@@ -59,7 +63,7 @@ def _check_by_distance(bins: pd.DataFrame, subject: Subject, settings: AlignSett
         f"depth by the sensor over depth by the map differs with distance: {low['median_ratio']:.3f} from "
         f"{low['near_m']:g} m, {high['median_ratio']:.3f} from {high['near_m']:g} m"
     )
-    return evaluate(CheckName.SESSION_DEPTH_BY_DISTANCE, subject, estimate, settings.max_depth_spread, failure)
+    return evaluate(CheckName.SESSION_DEPTH_BY_DISTANCE, subject, estimate, _MAX_SPREAD, failure)
 
 
 def _failure(reason: str) -> Failure:

@@ -3,29 +3,24 @@
 Where there is no standard error, frames are counted: all of them, not a sample.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundwalk.alignment.checks.results import (
-    CheckResult,
-    Exclusion,
-    Failure,
-    Quantity,
-    Subject,
-    evaluate,
-    with_status,
-)
+from groundwalk.alignment.checks.results import CheckResult, Exclusion, Failure, Quantity, Rows, Subject, evaluate
 from groundwalk.alignment.components import Component
+from groundwalk.alignment.segments import registered_rows, sessions_of
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import FocalEstimate, SfmTables
 from groundwalk.consistency.decisions import Status, fraction_sd
-from groundwalk.consistency.diagnosis import Diagnosis, diagnose
+from groundwalk.consistency.diagnosis import MAX_ALIASED_FRACTION, MAX_TURN_GAIN_ERROR, Diagnosis, diagnose
 from groundwalk.consistency.motions import MIRRORED, MISTAKE_REASONS, UNRELATED, UPSIDE_DOWN
+from groundwalk.consistency.vio_drift import VIO_DRIFT
 from groundwalk.geometry.fits import direction_angles
 from groundwalk.store.choices import CheckName, FailureCause
 
+# VIO explains most relative poses of a session whose images and poses belong together, however badly it drifts.
+_MIN_MOTION_AGREEMENT = 0.5
 _BENT = "a session with wrong intrinsics bends its SfM model"
 # Faults by which no part of a model is right.
 _FAULTS_OF_MODEL = {
@@ -49,52 +44,45 @@ class SessionEvidence:
 
     subject: Subject
     recording: str
-    rows: np.ndarray
+    rows: Rows
     component: Component
     diagnosis: Diagnosis
     focal: FocalEstimate | None
     pairs_match_vio: bool
-    settings: AlignSettings
-
-
-SessionCheck = Callable[[SessionEvidence], CheckResult | None]
 
 
 def check_sessions(component: Component, sfm: SfmTables, settings: AlignSettings) -> list[CheckResult]:
     """All checks of the sessions of a model. A session that fails one gets no ground truth, nor does any frame of a
-    model that the fault leaves no part of right."""
+    model that the fault leaves nothing of right."""
     results: list[CheckResult] = []
-    for session_id in dict.fromkeys(s.session_id for s in component.segments):
-        evidence = _evidence(component, session_id, sfm, settings)
-        if len(evidence.rows):
-            results += _check_session(evidence)
-    return [_with_model(result, component) for result in results]
+    for session_id in sessions_of(component.segments):
+        segments = [s for s in component.segments if s.session_id == session_id]
+        rows = registered_rows(segments)
+        if len(rows):
+            evidence = SessionEvidence(
+                subject=Subject(len(rows), session_id, component.index),
+                recording=segments[0].recording,
+                rows=rows,
+                component=component,
+                diagnosis=diagnose([s.trajectory_pair for s in segments], VIO_DRIFT),
+                focal=sfm.focal(component.model_id, session_id),
+                pairs_match_vio=sfm.pairs_match_vio(session_id),
+            )
+            results += [_with_model(result, component) for result in _check_session(evidence, settings)]
+    return results
 
 
-def _evidence(component: Component, session_id: str, sfm: SfmTables, settings: AlignSettings) -> SessionEvidence:
-    segments = [s for s in component.segments if s.session_id == session_id]
-    rows = np.concatenate([s.rows[s.registered] for s in segments])
-    pieces = [p.trajectory_pair for p in component.pieces if p.session_id == session_id]
-    return SessionEvidence(
-        subject=Subject(len(rows), session_id, component.index),
-        recording=segments[0].recording,
-        rows=rows,
-        component=component,
-        diagnosis=diagnose(pieces, settings.vio_drift),
-        focal=sfm.focal(component.model_id, session_id),
-        pairs_match_vio=sfm.pairs_match_vio(session_id),
-        settings=settings,
-    )
-
-
-def _check_session(evidence: SessionEvidence) -> list[CheckResult]:
-    results = _run((check_focal_length, check_motion, check_turns, check_aliasing), evidence)
+def _check_session(evidence: SessionEvidence, settings: AlignSettings) -> list[CheckResult]:
+    focal = check_focal_length(evidence.subject, evidence.rows, evidence.focal, settings.max_focal_error)
+    motion = check_motion(evidence)
+    results = [focal, motion, check_turns(evidence, focal, motion), check_aliasing(evidence, motion)]
     # A scale or vertical by wrong poses decides nothing.
-    return results if with_status(results, Status.FAILED) else results + _run((check_scale, check_vertical), evidence)
-
-
-def _run(checks: Sequence[SessionCheck], evidence: SessionEvidence) -> list[CheckResult]:
-    return [result for check in checks if (result := check(evidence)) is not None]
+    if not any(r is not None and r.status is Status.FAILED for r in results):
+        results += [
+            check_scale(evidence, settings.max_session_scale_error),
+            check_vertical(evidence, settings.max_session_tilt_deg),
+        ]
+    return [result for result in results if result is not None]
 
 
 def _with_model(result: CheckResult, component: Component) -> CheckResult:
@@ -104,16 +92,12 @@ def _with_model(result: CheckResult, component: Component) -> CheckResult:
     return replace(result, exclusions=(*result.exclusions, of_model))
 
 
-def check_focal_length(evidence: SessionEvidence) -> CheckResult | None:
-    """The focal length by the images against the captured one; None where the images don't determine it."""
-    if evidence.focal is None:
+def check_focal_length(subject: Subject, rows: Rows, focal: FocalEstimate | None, limit: float) -> CheckResult | None:
+    """The focal length by the images against the captured one; None where the images don't determine it. Undecided it
+    lowers no frame's class: SfM used the estimated one, and its standard error is in the frames' covariances. Where it
+    steps, some frames are off by half of the step."""
+    if focal is None:
         return None
-    return focal_length_result(evidence.subject, evidence.rows, evidence.focal, evidence.settings.max_focal_error)
-
-
-def focal_length_result(subject: Subject, rows: np.ndarray, focal: FocalEstimate, limit: float) -> CheckResult:
-    """The check of a focal length by the images. Undecided it lowers no frame's class: SfM used the estimated one, and
-    its standard error is in the frames' covariances. Where it steps, some frames are off by half of the step."""
     error = focal.scale - 1
     reason = f"focal length by the images is {abs(error):.1%} {'longer' if error > 0 else 'shorter'} than captured"
     estimate = Quantity(abs(error), focal.sd)
@@ -123,12 +107,7 @@ def focal_length_result(subject: Subject, rows: np.ndarray, focal: FocalEstimate
         if half_step > abs(error):
             # A step is one by being beyond all scatter.
             estimate = Quantity(half_step, 0.0)
-    failure = Failure(
-        cause=FailureCause.WRONG_INTRINSICS,
-        reason=reason,
-        rows=rows,
-        lowers_class=False,
-    )
+    failure = Failure(cause=FailureCause.WRONG_INTRINSICS, reason=reason, rows=rows, lowers_class=False)
     return evaluate(CheckName.SESSION_FOCAL_LENGTH, subject, estimate, limit, failure)
 
 
@@ -140,18 +119,18 @@ def check_motion(evidence: SessionEvidence) -> CheckResult:
         cause, reason = _CAUSES[motions.mistake], MISTAKE_REASONS[motions.mistake]
     # Mirrored images are a fault although a straight walk agrees: the mirrored motion must explain more.
     is_mirrored = cause is FailureCause.MIRRORED_IMAGES
-    limit = max(motions.mirrors.values()) if is_mirrored else evidence.settings.min_motion_agreement
+    limit = max(motions.mirrors.values()) if is_mirrored else _MIN_MOTION_AGREEMENT
     estimate = Quantity(motions.explained, fraction_sd(motions.explained, motions.pairs / 2))
     failure = Failure(cause=cause, reason=reason, rows=evidence.rows)
     return evaluate(CheckName.SESSION_MOTION, evidence.subject, estimate, limit, failure)
 
 
-def check_turns(evidence: SessionEvidence) -> CheckResult | None:
+def check_turns(evidence: SessionEvidence, focal: CheckResult | None, motion: CheckResult) -> CheckResult | None:
     """How much more or less SfM turns than VIO, as by a wrong focal length. None where motion disagrees altogether, the
     session hardly turns, or the images confirm the focal length: then VIO is what turns wrongly."""
-    motions, focal = evidence.diagnosis.motions, check_focal_length(evidence)
+    motions = evidence.diagnosis.motions
     is_confirmed = evidence.focal is not None and evidence.focal.is_confirmed
-    if is_confirmed or not np.isfinite(motions.turn_gain) or check_motion(evidence).status is Status.FAILED:
+    if is_confirmed or not np.isfinite(motions.turn_gain) or motion.status is Status.FAILED:
         return None
     error = motions.turn_gain - 1
     failure = Failure(
@@ -162,24 +141,24 @@ def check_turns(evidence: SessionEvidence) -> CheckResult | None:
         # A focal length that passed has its standard error in the frames' covariances.
         lowers_class=focal is None or focal.status is not Status.PASSED,
     )
-    estimate, limit = Quantity(abs(error), motions.turn_gain_sd), evidence.settings.max_turn_gain_error
-    return evaluate(CheckName.SESSION_TURNS, evidence.subject, estimate, limit, failure)
+    estimate = Quantity(abs(error), motions.turn_gain_sd)
+    return evaluate(CheckName.SESSION_TURNS, evidence.subject, estimate, MAX_TURN_GAIN_ERROR, failure)
 
 
-def check_aliasing(evidence: SessionEvidence) -> CheckResult | None:
+def check_aliasing(evidence: SessionEvidence, motion: CheckResult) -> CheckResult | None:
     """The fraction of frames at places that are far apart in VIO; None where images and poses don't belong together."""
-    if check_motion(evidence).status is Status.FAILED and not evidence.pairs_match_vio:
+    if motion.status is Status.FAILED and not evidence.pairs_match_vio:
         return None
     failure = Failure(
         cause=FailureCause.PERCEPTUAL_ALIASING,
         reason=f"SfM merges places that are up to {evidence.diagnosis.aliased_m:.1f} m apart in VIO",
         rows=evidence.rows,
     )
-    estimate, limit = Quantity(evidence.diagnosis.aliased_fraction), evidence.settings.max_aliased_fraction
-    return evaluate(CheckName.SESSION_ALIASING, evidence.subject, estimate, limit, failure)
+    estimate = Quantity(evidence.diagnosis.aliased_fraction)
+    return evaluate(CheckName.SESSION_ALIASING, evidence.subject, estimate, MAX_ALIASED_FRACTION, failure)
 
 
-def check_scale(evidence: SessionEvidence) -> CheckResult | None:
+def check_scale(evidence: SessionEvidence, limit: float) -> CheckResult | None:
     """The scale by the session's recording against the map's; None for the only recording. Undecided it lowers no
     frame's class: the scale is what all frames share, and windows are compared at the map's."""
     scale = evidence.component.vio_scale
@@ -193,11 +172,11 @@ def check_scale(evidence: SessionEvidence) -> CheckResult | None:
         rows=evidence.rows,
         lowers_class=False,
     )
-    estimate, limit = Quantity(abs(error), of_recording.sd), evidence.settings.max_session_scale_error
+    estimate = Quantity(abs(error), of_recording.sd)
     return evaluate(CheckName.SESSION_SCALE, evidence.subject, estimate, limit, failure)
 
 
-def check_vertical(evidence: SessionEvidence) -> CheckResult | None:
+def check_vertical(evidence: SessionEvidence, limit_deg: float) -> CheckResult | None:
     """The vertical by the session's recording against the map's; otherwise as for the scale. Where recordings differ
     and nothing tells which is right, each is undecided."""
     vertical = evidence.component.vertical
@@ -213,6 +192,6 @@ def check_vertical(evidence: SessionEvidence) -> CheckResult | None:
         rows=evidence.rows,
         lowers_class=False,
     )
-    estimate, limit_deg = Quantity(tilt_deg, float(np.degrees(of_recording.sd))), evidence.settings.max_session_tilt_deg
+    estimate = Quantity(tilt_deg, float(np.degrees(of_recording.sd)))
     status = None if vertical.is_agreed else Status.UNDECIDED
     return evaluate(CheckName.SESSION_VERTICAL, evidence.subject, estimate, limit_deg, failure, status)

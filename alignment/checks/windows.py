@@ -1,65 +1,31 @@
 """Do SfM and VIO agree window by window? Where they don't, the model is wrong or VIO jumped."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from groundwalk.alignment.checks.results import CheckResult, Exclusion, Failure, Quantity, Subject, evaluate
 from groundwalk.alignment.components import Component
-from groundwalk.alignment.segments import Segment
-from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.segments import SegmentWindow
 from groundwalk.consistency.decisions import SIGMAS, beyond, within
-from groundwalk.consistency.vio_drift import VioDrift
-from groundwalk.consistency.windows import PoseSd, WindowResiduals, compare_windows
-from groundwalk.geometry.fits import Sim3
+from groundwalk.consistency.vio_drift import VIO_DRIFT
+from groundwalk.consistency.windows import POSE_SD, WINDOW_M, compare_windows
 from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import CheckName, FailureCause
 
 
-@dataclass(frozen=True)
-class SegmentWindow(WindowResiduals):
-    """A window of a segment: `inside` (n,) are indices of its frames."""
-
-    segment: Segment
-
-
-def segment_windows(
-    segment: Segment,
-    metric_S_sfm: Sim3,
-    window_m: float,
-    drift: VioDrift,
-    sd: PoseSd,
-    frame_sd: tuple[Array, Array] | None = None,
-) -> list[SegmentWindow]:
-    """The windows of a segment, each with VIO rigidly fitted to SfM at the common metric scale; `frame_sd`: standard
-    errors of its frames in SfM, metres and radians (N,), NaN where unknown."""
-    compared, pair = np.flatnonzero(segment.has_both), segment.trajectory_pair
-    sds = None if frame_sd is None else (np.nan_to_num(frame_sd[0][compared]), np.nan_to_num(frame_sd[1][compared]))
-    metric = pair._replace(sfm_T_cam=metric_S_sfm.poses(pair.sfm_T_cam))
-    windows = compare_windows(metric, window_m, drift, sd, frame_sd=sds)
-    return [SegmentWindow(**{**vars(w), "inside": compared[w.inside]}, segment=segment) for w in windows]
-
-
-def component_windows(
-    component: Component, settings: AlignSettings, frame_sd: tuple[Array, Array]
-) -> list[SegmentWindow]:
-    """The windows of a metric model; `frame_sd` as for `segment_windows`, over the rows of the frames table."""
-    if not component.scale.is_known:
-        return []
-    metric_S_sfm, drift, sd = component.metric_S_sfm, settings.vio_drift, settings.fit_sd
-    return [
-        window
-        for piece in component.pieces
-        for window in segment_windows(
-            piece,
-            metric_S_sfm,
-            settings.window_m,
-            drift,
-            sd,
-            (frame_sd[0][piece.rows], frame_sd[1][piece.rows]),
-        )
-    ]
+def component_windows(component: Component, frame_sd: tuple[Array, Array]) -> list[SegmentWindow]:
+    """The windows of a metric model, each with VIO rigidly fitted to SfM at the common scale; `frame_sd`: standard
+    errors of poses in SfM over the rows of the frames table, metres and radians, NaN where unknown."""
+    windows: list[SegmentWindow] = []
+    for segment in component.segments if component.scale.is_known else []:
+        compared, pair = np.flatnonzero(segment.has_both), segment.trajectory_pair
+        metric = pair._replace(sfm_T_cam=component.metric_S_sfm.poses(pair.sfm_T_cam))
+        sd_m, sd_rad = (np.nan_to_num(sd[segment.rows[compared]]) for sd in frame_sd)
+        found = compare_windows(metric, WINDOW_M, VIO_DRIFT, POSE_SD, frame_sd=(sd_m, sd_rad))
+        windows += [SegmentWindow(**{**vars(w), "inside": compared[w.inside]}, segment=segment) for w in found]
+    return windows
 
 
 def check_window(window: SegmentWindow) -> list[CheckResult]:

@@ -99,33 +99,23 @@ def _turned_cameras(reference_T_cam: Array, sfm_T_cam: Array, limits: Limits) ->
 
 
 def _bend(reference_T_cam: Array, sfm_T_cam: Array, frame_ids: np.ndarray, limits: Limits) -> str:
-    """Where along the walk the two part, by fits of parts of it."""
-    parts = np.array_split(np.arange(len(frame_ids)), int(np.clip(len(frame_ids) // _MIN_PART, 1, _MAX_PARTS)))
-    fits = [_fit(reference_T_cam[part], sfm_T_cam[part]) for part in parts]
+    """Where along the walk the two turn against each other most, by fits of parts of it."""
     extent = _extent(reference_T_cam)
-    apart = [
-        f"{frame_ids[part[0]]} to {frame_ids[part[-1]]}"
-        for part, fit in zip(parts, fits, strict=True)
-        if fit is None or not limits.agrees(fit, extent)
-    ]
+    parts = np.array_split(np.arange(len(frame_ids)), int(np.clip(len(frame_ids) // _MIN_PART, 1, _MAX_PARTS)))
+    fits = [(part, _fit(reference_T_cam[part], sfm_T_cam[part])) for part in parts]
+    good = [(part, fit) for part, fit in fits if fit is not None and limits.agrees(fit, extent)]
     other_run = setting_of("sfm", 'lens = "stated"')
     undecided = (
         "Which of the two is wrong can't be told from them alone: SfM is, where another run of it agrees with the "
         f"reference ({other_run}, other features or mapper); the reference is, where such runs, a ruler or VIO agree "
         "with SfM"
     )
-    good = [(part, fit) for part, fit in zip(parts, fits, strict=True) if fit is not None]
-    if len(good) < 2 or len(apart) > len(parts) / 2:
+    if len(good) < max(2, len(parts) / 2):
         return f"they differ all along, in parts of {len(parts[0])} frames fitted on their own, too. {undecided}"
     turns = [np.degrees(rotation_angle(a.a_S_b.rotation.T @ b.a_S_b.rotation)) for (_, a), (_, b) in pairwise(good)]
     most = int(np.argmax(turns))
-    scales = [fit.a_S_b.scale for _, fit in good]
-    agree_deg = np.degrees(np.median(np.concatenate([fit.rotation for _, fit in good])))
-    but = f" (not so {', '.join(apart)})" if apart else ""
-    worst = f"{frame_ids[good[most][0][0]]} and {frame_ids[good[most + 1][0][-1]]}"
     return (
-        f"one is bent against the other: {len(parts)} parts of {len(parts[0])} frames, each fitted on its own, agree "
-        f"to {agree_deg:.1f} degrees (median){but}, but from one part to the next they turn against each other by up "
-        f"to {turns[most]:.1f} degrees, most between {worst}, and their scales differ by a factor of "
-        f"{max(scales) / min(scales):.3g} over all parts. {undecided}"
+        f"one is bent against the other: of {len(parts)} parts, each fitted on its own, {len(good)} agree, but from "
+        f"one to the next they turn against each other by up to {turns[most]:.1f} degrees, most between "
+        f"{frame_ids[good[most][0][0]]} and {frame_ids[good[most + 1][0][-1]]}. {undecided}"
     )

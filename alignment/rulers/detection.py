@@ -1,17 +1,28 @@
-"""Corners of printed boards and tags in images, by OpenCV, in import's pixel convention."""
+"""Where images show rulers: corners of printed boards and tags by OpenCV, points of distances as the settings say; in
+import's pixel convention."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, dictionaries, dictionary
+from groundwalk.alignment.rulers.measurement import RulerDetections
+from groundwalk.alignment.rulers.settings import (
+    AprilTagRuler,
+    CharucoRuler,
+    DistanceRuler,
+    Ruler,
+    dictionaries,
+    dictionary,
+)
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rulers import Corners
+from groundwalk.store import UserError
 from groundwalk.store.images import read_grey_image
 from groundwalk.store.parallel import in_parallel
 
@@ -39,6 +50,73 @@ class Detection:
 
     corner: NDArray[np.int64]
     xy: Array
+
+
+def find_rulers(
+    rulers: Sequence[Ruler], frames: pd.DataFrame, image_path: Callable[[str], Path]
+) -> list[RulerDetections]:
+    """Look for rulers in all images of import's table `frames`; distances are where the settings say.
+
+    Raises UserError for an image that can't be read, a distance's frame that doesn't exist, or a pixel outside of it.
+    """
+    boards = [ruler for ruler in rulers if not isinstance(ruler, DistanceRuler)]
+    paths = [image_path(image) for image in frames["image"]] if boards else []
+    by_image = detect_all(boards, paths)
+    return [
+        _read_off(ruler, frames)
+        if isinstance(ruler, DistanceRuler)
+        else _detections(ruler, [of_image[boards.index(ruler)] for of_image in by_image], paths)
+        for ruler in rulers
+    ]
+
+
+def _detections(ruler: BoardRuler, by_image: Sequence[Detection], paths: Sequence[Path]) -> RulerDetections:
+    """A board's detections, one an image of these paths, together."""
+    seen = [(row, d) for row, d in enumerate(by_image) if len(d.corner)]
+    corners = nominal_corners(ruler)
+    corner = np.concatenate([np.empty(0, dtype=np.int64), *(d.corner for _, d in seen)])
+    return RulerDetections(
+        ruler,
+        corners,
+        held_out_corners(ruler, corners, corner),
+        np.repeat([row for row, _ in seen], [len(d.corner) for _, d in seen]).astype(np.int64),
+        corner,
+        np.concatenate([np.empty((0, 2)), *(d.xy for _, d in seen)]),
+        "" if seen else explain_absence(ruler, paths),
+    )
+
+
+def _read_off(ruler: DistanceRuler, frames: pd.DataFrame) -> RulerDetections:
+    row_of = {frame_id: row for row, frame_id in enumerate(frames["frame_id"])}
+    rows, corner, xy = [], [], []
+    for index, point in enumerate(ruler.points):
+        for observation in point.observations:
+            if observation.frame not in row_of:
+                raise UserError(
+                    f"ruler {ruler.name!r}: point {point.name!r} is seen in a frame that doesn't exist",
+                    where="[[ruler]] of the scene's file",
+                    found=observation.frame,
+                    expected=f"a frame_id of import.frames, such as {frames['frame_id'].iloc[0]}",
+                    do="name a frame of import.frames; sampling drops images",
+                )
+            row = row_of[observation.frame]
+            width, height = (int(frames[side].iloc[row]) for side in ("width", "height"))
+            x, y = observation.xy
+            if not (0 <= x <= width and 0 <= y <= height):
+                raise UserError(
+                    f"ruler {ruler.name!r}: point {point.name!r} is outside of its image",
+                    where=f"[[ruler]] of the scene's file, frame {observation.frame}",
+                    found=f"xy = [{x:g}, {y:g}]",
+                    expected=f"pixels of the image as stored, [0, 0] to [{width}, {height}]",
+                    do="read the pixel off the image at its full size, as import.frames has it",
+                )
+            rows.append(row)
+            corner.append(index)
+            xy.append(observation.xy)
+    corners = Corners(np.array([[0.0, 0.0, 0.0], [ruler.length_m, 0.0, 0.0]]), np.zeros(2, dtype=np.int64))
+    return RulerDetections(
+        ruler, corners, np.zeros(2, dtype=bool), np.array(rows), np.array(corner), np.array(xy, dtype=float)
+    )
 
 
 def nominal_corners(ruler: BoardRuler) -> Corners:

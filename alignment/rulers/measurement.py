@@ -1,29 +1,19 @@
-"""Rulers in the images, and their size in each SfM model, in the model's units."""
+"""The size of rulers in each SfM model, in the model's units, by where images show them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.alignment.quality import sfm_covariances
-from groundwalk.alignment.rulers.detection import (
-    BoardRuler,
-    Detection,
-    detect_all,
-    explain_absence,
-    held_out_corners,
-    nominal_corners,
-)
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler, Ruler
+from groundwalk.alignment.sfm_tables import covariances
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rulers import Corners, Observations, RulerFit, measure
 from groundwalk.geometry.shutter import readout_fraction, readout_lines, rows_in_camera
-from groundwalk.store import UserError
 from groundwalk.store.choices import RulerPart
 from groundwalk.store.tables import camera_of, poses_of
 
@@ -32,6 +22,9 @@ Mask = NDArray[np.bool_]
 
 # Smallest standard error of an observation, pixels in an image axis: detected, and read off by a person.
 _DETECTION_SD_PX, _READ_OFF_SD_PX = 0.1, 1.0
+# A ruler whose views are less far apart, radians, or whose scale has a larger standard error, as a fraction, decides
+# nothing: 1 % is what VIO's scale of a short walk is off by.
+_MIN_ANGLE, _MAX_SD = float(np.radians(5.0)), 0.01
 
 
 @dataclass(frozen=True)
@@ -84,56 +77,16 @@ class RulerMeasurement:
         return self.ruler.size_mm * metres_per_unit * float(np.exp(self.fits[part].log_scale))
 
 
-def find_rulers(
-    rulers: Sequence[Ruler], frames: pd.DataFrame, image_path: Callable[[str], Path]
-) -> list[RulerDetections]:
-    """Look for rulers in all images of import's table `frames`; distances are where the settings say.
-
-    Raises UserError for an image that can't be read, a distance's frame that doesn't exist, or a pixel outside of it.
-    """
-    boards = [ruler for ruler in rulers if not isinstance(ruler, DistanceRuler)]
-    paths = [image_path(image) for image in frames["image"]] if boards else []
-    by_image = detect_all(boards, paths)
-    return [
-        _read_off(ruler, frames)
-        if isinstance(ruler, DistanceRuler)
-        else _detections(ruler, [of_image[boards.index(ruler)] for of_image in by_image], paths)
-        for ruler in rulers
-    ]
-
-
-def _detections(ruler: BoardRuler, by_image: Sequence[Detection], paths: Sequence[Path]) -> RulerDetections:
-    """A board's detections, one an image of these paths, together."""
-    seen = [(row, d) for row, d in enumerate(by_image) if len(d.corner)]
-    corners = nominal_corners(ruler)
-    corner = np.concatenate([np.empty(0, dtype=np.int64), *(d.corner for _, d in seen)])
-    return RulerDetections(
-        ruler,
-        corners,
-        held_out_corners(ruler, corners, corner),
-        np.repeat([row for row, _ in seen], [len(d.corner) for _, d in seen]).astype(np.int64),
-        corner,
-        np.concatenate([np.empty((0, 2)), *(d.xy for _, d in seen)]),
-        "" if seen else explain_absence(ruler, paths),
-    )
-
-
 def measure_rulers(
-    detections: Sequence[RulerDetections],
-    frames: pd.DataFrame,
-    images: pd.DataFrame,
-    *,
-    min_angle: float,
-    max_sd: float,
+    detections: Sequence[RulerDetections], frames: pd.DataFrame, images: pd.DataFrame
 ) -> list[RulerMeasurement]:
     """Each ruler in each model that has frames of it; one without a model where none has.
 
     `frames` is import's table with SfM's cameras, `images` SfM's in its order. As in SfM, lens and rolling shutter are
-    undone: a corner is seen by the adjusted lens from where the camera was when its row was exposed. Views less than
-    `min_angle` (radians) apart, or a standard error above `max_sd`, decide nothing.
+    undone: a corner is seen by the adjusted lens from where the camera was when its row was exposed.
     """
     measurements = []
-    poses, covariance = poses_of(images, "sfm_cam"), sfm_covariances(images["covariance"])
+    poses, covariance = poses_of(images, "sfm_cam"), covariances(images["covariance"])
     registered, model_id = images["registered"].to_numpy(bool), images["model_id"].to_numpy(object)
     for ruler in detections:
         models = pd.unique(model_id[ruler.row[registered[ruler.row]]])
@@ -143,24 +96,17 @@ def measure_rulers(
             measurements.append(RulerMeasurement(ruler, "", unseen, np.empty((0, 4, 4)), problem=problem))
             continue
         xy, focal_px = undistorted(frames, ruler.row, ruler.xy_px)
-        cam_T_row = _rows_in_camera(frames, images, ruler)
+        line = readout_lines(frames["first_row"], frames["width"], frames["height"])[ruler.row]
+        tau = images["readout_s"].to_numpy(float)[ruler.row] * readout_fraction(line, ruler.xy_px)
+        motion = (images[[f"{name}_{a}" for a in "xyz"]].to_numpy(float)[ruler.row] for name in ("angular", "velocity"))
+        cam_T_row = rows_in_camera(*motion, tau)
         observations = Observations(ruler.corner, ruler.row, xy, focal_px, cam_T_row)
         for model in models:
             in_model = registered[ruler.row] & (model_id[ruler.row] == model) & np.isfinite(xy).all(axis=1)
             measurement = RulerMeasurement(ruler, str(model), in_model, cam_T_row)
             fits = _fit_parts(measurement, observations, poses, covariance)
-            measurements.append(_judged(replace(measurement, fits=fits), frames, min_angle, max_sd))
+            measurements.append(_judged(replace(measurement, fits=fits), frames))
     return measurements
-
-
-def _rows_in_camera(frames: pd.DataFrame, images: pd.DataFrame, ruler: RulerDetections) -> Array:
-    """cam_T_row (M, 4, 4) of a ruler's observations."""
-    line = readout_lines(frames["first_row"], frames["width"], frames["height"])[ruler.row]
-    tau = images["readout_s"].to_numpy(float)[ruler.row] * readout_fraction(line, ruler.xy_px)
-    angular, velocity = (
-        images[[f"{name}_{axis}" for axis in "xyz"]].to_numpy(float)[ruler.row] for name in ("angular", "velocity")
-    )
-    return rows_in_camera(angular, velocity, tau)
 
 
 def undistorted(frames: pd.DataFrame, rows: Indices, xy_px: Array) -> tuple[Array, Array]:
@@ -173,39 +119,6 @@ def undistorted(frames: pd.DataFrame, rows: Indices, xy_px: Array) -> tuple[Arra
         focal_px[same] = np.sqrt(camera.fx * camera.fy)
         xy[same] = camera.unproject(xy_px[same])
     return xy, focal_px
-
-
-def _read_off(ruler: DistanceRuler, frames: pd.DataFrame) -> RulerDetections:
-    row_of = {frame_id: row for row, frame_id in enumerate(frames["frame_id"])}
-    rows, corner, xy = [], [], []
-    for index, point in enumerate(ruler.points):
-        for observation in point.observations:
-            if observation.frame not in row_of:
-                raise UserError(
-                    f"ruler {ruler.name!r}: point {point.name!r} is seen in a frame that doesn't exist",
-                    where="[[ruler]] of the scene's file",
-                    found=observation.frame,
-                    expected=f"a frame_id of import.frames, such as {frames['frame_id'].iloc[0]}",
-                    do="name a frame of import.frames; sampling drops images",
-                )
-            row = row_of[observation.frame]
-            width, height = (int(frames[side].iloc[row]) for side in ("width", "height"))
-            x, y = observation.xy
-            if not (0 <= x <= width and 0 <= y <= height):
-                raise UserError(
-                    f"ruler {ruler.name!r}: point {point.name!r} is outside of its image",
-                    where=f"[[ruler]] of the scene's file, frame {observation.frame}",
-                    found=f"xy = [{x:g}, {y:g}]",
-                    expected=f"pixels of the image as stored, [0, 0] to [{width}, {height}]",
-                    do="read the pixel off the image at its full size, as import.frames has it",
-                )
-            rows.append(row)
-            corner.append(index)
-            xy.append(observation.xy)
-    corners = Corners(np.array([[0.0, 0.0, 0.0], [ruler.length_m, 0.0, 0.0]]), np.zeros(2, dtype=np.int64))
-    return RulerDetections(
-        ruler, corners, np.zeros(2, dtype=bool), np.array(rows), np.array(corner), np.array(xy, dtype=float)
-    )
 
 
 def _fit_parts(
@@ -225,13 +138,13 @@ def _fit_parts(
     return fits
 
 
-def _judged(measurement: RulerMeasurement, frames: pd.DataFrame, min_angle: float, max_sd: float) -> RulerMeasurement:
+def _judged(measurement: RulerMeasurement, frames: pd.DataFrame) -> RulerMeasurement:
     """With its problem and notes; without fits where they are too few."""
     fits = measurement.fits
     if RulerPart.ALL not in fits or (measurement.ruler.use_for_scale and RulerPart.FOR_SCALE not in fits):
         return replace(measurement, fits={}, problem=_too_few(measurement, frames))
     notes = _notes(measurement, fits[RulerPart.ALL], frames)
-    return replace(measurement, problem=_weakness(measurement, min_angle, max_sd), notes=notes)
+    return replace(measurement, problem=_weakness(measurement), notes=notes)
 
 
 def _too_few(measurement: RulerMeasurement, frames: pd.DataFrame) -> str:
@@ -260,16 +173,16 @@ def _too_few(measurement: RulerMeasurement, frames: pd.DataFrame) -> str:
     return f"seen {where}; two of its corners must be seen in 2 or more frames"
 
 
-def _weakness(measurement: RulerMeasurement, min_angle: float, max_sd: float) -> str:
+def _weakness(measurement: RulerMeasurement) -> str:
     """Why a measurement decides nothing; empty where it does."""
     fit = measurement.fits.get(RulerPart.FOR_SCALE, measurement.fits[RulerPart.ALL])
-    if fit.angle < min_angle:
+    if fit.angle < _MIN_ANGLE:
         return (
-            f"its views are only {np.degrees(fit.angle):.1f} degrees apart, at least {np.degrees(min_angle):.1f} are "
+            f"its views are only {np.degrees(fit.angle):.1f} degrees apart, at least {np.degrees(_MIN_ANGLE):.1f} are "
             "needed; walk around it"
         )
-    if fit.sd > max_sd:
-        return f"its scale has a standard error of {fit.sd:.2%}, at most {max_sd:.2%} is needed; take more views of it"
+    if fit.sd > _MAX_SD:
+        return f"its scale has a standard error of {fit.sd:.2%}, at most {_MAX_SD:.2%} is needed; take more views of it"
     return ""
 
 

@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.alignment.checks.results import CheckResult, Failure, Quantity, Subject, evaluate
-from groundwalk.alignment.components import Component
-from groundwalk.alignment.map_frame import MapScale
+from groundwalk.alignment.components import Component, MapScale
 from groundwalk.alignment.rulers.measurement import RulerMeasurement
 from groundwalk.alignment.rulers.settings import DistanceRuler
 from groundwalk.consistency.decisions import SIGMAS, Status, decide, within
@@ -69,10 +68,16 @@ def scale_by_rulers(vio: MapScale, rulers: Sequence[RulerMeasurement], max_size_
 
 
 def check_rulers(
-    component: Component | None, rulers: Sequence[RulerMeasurement], max_size_error: float
+    components: Sequence[Component], rulers: Sequence[RulerMeasurement], max_size_error: float
 ) -> list[RulerCheck]:
-    """Check each ruler of a model against its scale; undecided in a model without scale or vertical, or in none."""
-    return [RulerCheck(r, component, _check(component, r, rulers, max_size_error)) for r in rulers]
+    """Check each ruler against the scale of its model, model by model; undecided in one without scale or vertical, or
+    in none."""
+    of_model = {component.model_id: component for component in components}
+    checks = []
+    for ruler in sorted(rulers, key=lambda r: of_model[r.model_id].index if r.model_id in of_model else len(of_model)):
+        beside, component = [r for r in rulers if r.model_id == ruler.model_id], of_model.get(ruler.model_id)
+        checks.append(RulerCheck(ruler, component, _check(component, ruler, beside, max_size_error)))
+    return checks
 
 
 def rulers_table(checks: Sequence[RulerCheck]) -> pd.DataFrame:

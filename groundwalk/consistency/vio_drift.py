@@ -33,3 +33,8 @@ class VioDrift:
     def radians(self, path_m: ArrayLike) -> Array:
         """Radians allowed over paths (...) in metres."""
         return np.asarray(self.rad + self.rad_per_sqrt_m * np.sqrt(np.asarray(path_m, dtype=float)))
+
+
+VIO_DRIFT = VioDrift.in_degrees(m=0.1, m_per_m=0.03, deg=3.0, deg_per_sqrt_m=2.5)
+"""What all checks allow: well above what phones were measured to drift by, as a tighter limit would refuse good poses
+for bad VIO (docs/explanation/vio-drift.md)."""

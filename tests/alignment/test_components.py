@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from groundwalk.alignment.components import VioLink
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.alignment.vio_links import link_covariance
 from groundwalk.geometry.fits import Sim3, fit_sim3
 from groundwalk.geometry.poses import make_pose, path_length, yaw_rotation
 from groundwalk.scoring.errors import position_error
@@ -99,10 +98,8 @@ def test_link_covariance_is_that_of_samples() -> None:
     moved = np.einsum("nij,j->ni", yaw_rotation(turn), pose[:3, 3] - link.anchor) + link.anchor
     moved += 0.05 * rng.normal(size=moved.shape)
     samples = np.hstack([np.stack([0 * turn, turn, 0 * turn], axis=1), moved - pose[:3, 3]])
-    expected = link_covariance(pose[None, :3, 3], [link])[0]
+    expected = link.covariance(pose[None, :3, 3])[0]
     np.testing.assert_allclose(np.cov(samples.T), expected, atol=0.02 * expected.max())
-    # Each link of a chain is as uncertain as if it were the only one.
-    np.testing.assert_allclose(link_covariance(pose[None, :3, 3], [link, link])[0], 2 * expected)
 
 
 def test_a_longer_way_than_vio_may_be_trusted_for_is_no_link(walks: Walks) -> None:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.alignment.checks.depth import check_depth
 from groundwalk.alignment.checks.results import with_status
-from groundwalk.alignment.components import Component, PlacedComponent
+from groundwalk.alignment.components import NO_SCALE, Component, MapScale, PlacedComponent, Vertical
 from groundwalk.alignment.depth import (
     DepthSamples,
     agreement_table,
@@ -21,8 +21,6 @@ from groundwalk.alignment.depth import (
     read_depth,
     sample_frames,
 )
-from groundwalk.alignment.map_frame import NO_SCALE, MapScale, Vertical
-from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
@@ -92,7 +90,6 @@ def scene(tmp_path: Path) -> Placed:
         index=0,
         model_id="m",
         segments=[],
-        pieces=[],
         scale=MapScale(0.0, 0.0, {}),
         vertical=Vertical(np.zeros(3), 0.0, {}),
         vio_scale=NO_SCALE,
@@ -121,7 +118,7 @@ def test_the_ratio_is_that_of_the_scales(scene: Placed, tmp_path: Path, scale: f
     assert whole["median_ratio"] == pytest.approx(1 / scale, abs=5e-4) and whole["median_ratio_se"] < 1e-3
     bins = table[table["confidence"].isna() & ((table["near_m"] > 0) | (table["far_m"] != 5.0))]
     assert bins["samples"].sum() == len(samples.map_m) and len(bins) > 2
-    checks, (line,) = check_depth(table, AlignSettings())
+    checks, (line,) = check_depth(table)
     (of_scale,) = [c for c in checks if c.name == "session_depth_scale"]
     assert of_scale.status == ("passed" if scale == 1.0 else "failed") and of_scale.sd == whole["median_ratio_se"]
     assert ("9.09% less" in line) == (scale == 1.1)
@@ -130,14 +127,14 @@ def test_the_ratio_is_that_of_the_scales(scene: Placed, tmp_path: Path, scale: f
 def test_an_error_that_grows_with_distance_is_named(scene: Placed, tmp_path: Path) -> None:
     samples = samples_of(scene, tmp_path)
     samples = replace(samples, sensor_m=samples.sensor_m * (1 + 0.06 * (samples.map_m - 2)))
-    checks, _ = check_depth(agreement_table(samples, seed=0), AlignSettings(max_depth_scale_error=0.2))
+    checks, _ = check_depth(agreement_table(samples, seed=0))
     (failed,) = with_status(checks, Status.FAILED)
     assert failed.name == "session_depth_by_distance" and "differs with distance" in failed.reason
 
 
 def test_what_its_standard_error_leaves_open_is_undecided(scene: Placed, tmp_path: Path) -> None:
     table = agreement_table(samples_of(scene, tmp_path, 1.06), seed=0)
-    checks, _ = check_depth(table.assign(median_ratio_se=0.01), AlignSettings())
+    checks, _ = check_depth(table.assign(median_ratio_se=0.01))
     (of_scale,) = [c for c in checks if c.name == "session_depth_scale"]
     assert of_scale.status is Status.UNDECIDED and not of_scale.exclusions and not len(of_scale.undecided_rows)
 
@@ -146,13 +143,11 @@ def test_too_little_depth_judges_nothing(scene: Placed, tmp_path: Path) -> None:
     frames, images, placed = scene
     frames.loc[2:, "depth"] = None
     samples = samples_of((frames, images, placed), tmp_path, 1.3)
-    (result,), (line,) = check_depth(agreement_table(samples, seed=0), AlignSettings())
+    (result,), (line,) = check_depth(agreement_table(samples, seed=0))
     assert (result.name, result.subject.session_id, result.status) == ("session_depth_scale", "walk", "undecided")
     assert "too little depth" in line and result.value is None and result.advice.startswith("more frames with depth")
     frames["depth"] = [f"depth{i}.png" for i in range(COUNT)]
-    (decided, *_), _ = check_depth(
-        agreement_table(samples_of((frames, images, placed), tmp_path, 1.3), seed=0), AlignSettings()
-    )
+    (decided, *_), _ = check_depth(agreement_table(samples_of((frames, images, placed), tmp_path, 1.3), seed=0))
     assert decided.status == "failed"
     frames["depth"] = None
     assert not has_depth(frames)

@@ -27,9 +27,11 @@ def paths() -> Paths:
     return np.arange(100) * 10**9, gt, vio
 
 
-def values(found: DriftSamples, definition: str, unit: str, interval_unit: str | None = None) -> np.ndarray:
-    (key,) = [k for k in found.samples if k[0] == definition and k[3] == unit and interval_unit in (None, k[2])]
-    return np.array(found.samples[key])
+def values(found: list[DriftSamples], definition: str, unit: str, interval_unit: str | None = None) -> np.ndarray:
+    (samples,) = [
+        s for s in found if (s.definition, s.unit) == (definition, unit) and interval_unit in (None, s.interval_unit)
+    ]
+    return samples.found
 
 
 def evo_errors(metric: Any, gt: np.ndarray, vio: np.ndarray, align: bool = False, scale: bool = False) -> np.ndarray:
@@ -65,8 +67,8 @@ def test_errors_by_distance_agree_with_evo(paths: Paths) -> None:
             metric = evo_metrics.RPE(
                 relation, metres, evo_metrics.Unit.meters, 0.01, all_pairs=True, pairs_from_reference=True
             )
-            (key,) = [k for k in found.samples if k[:2] == (name, metres)]
-            np.testing.assert_allclose(found.samples[key], share * evo_errors(metric, gt, vio) / metres, atol=1e-9)
+            (samples,) = [s for s in found if (s.definition, s.interval) == (name, metres)]
+            np.testing.assert_allclose(samples.found, share * evo_errors(metric, gt, vio) / metres, atol=1e-9)
 
 
 def test_paper_measures_are_the_papers(paths: Paths) -> None:
@@ -84,7 +86,7 @@ def test_known_drifts_have_their_size() -> None:
     longer = gt.copy()
     longer[:, :3, 3] *= 1.02
     found = measure_drift((seconds * 1e9).astype(np.int64), gt, longer)
-    for (name, _, interval_unit, unit), samples in found.samples.items():
+    for name, _, interval_unit, unit, samples in found:
         if name == "distance_position" and unit == "%":
             np.testing.assert_allclose(samples, 2, rtol=0.01)
         if name == "paper_rpe" and interval_unit == "s":

@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
+from groundwalk.alignment.check_models import check_models
 from groundwalk.alignment.checks.results import CheckResult, with_status
-from groundwalk.alignment.examination import examine
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.sessions import fit_session
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.decisions import Status
-from groundwalk.consistency.windows import POSE_SD
 from groundwalk.geometry.poses import make_pose
 from tests.synthetic_walks import Scene, Walks, align
 
@@ -54,11 +53,11 @@ def test_how_densely_a_short_walk_is_sampled_hardly_matters_to_its_scale(walks: 
 
 
 def undecided_scale(scene: Scene) -> list[CheckResult]:
-    found = examine(scene.inputs(), AlignSettings())
+    found = check_models(scene.inputs(), AlignSettings())
     return [c for c in with_status(found.checks, Status.UNDECIDED) if c.name == "map_scale"]
 
 
-def test_a_longer_walk_a_second_session_or_a_larger_limit_decide_the_scale(walks: Walks) -> None:
+def test_a_longer_walk_or_a_second_session_decide_the_scale(walks: Walks) -> None:
     """What the check advises."""
     scene = walk(walks, 0, 2.3)
     (check,) = undecided_scale(scene)
@@ -66,8 +65,6 @@ def test_a_longer_walk_a_second_session_or_a_larger_limit_decide_the_scale(walks
     assert "(limit 2 %)" in check.reason
     assert not undecided_scale(walk(walks, 0, 4.0))
     assert not undecided_scale(walk(walks, 0, 2.3, sessions=2))
-    loose = aligned(scene, max_scale_sd=0.05)
-    assert (loose.checks["status"] == "passed").all() and set(loose.ground_truth["scale_source"]) == {"vio"}
 
 
 def test_a_short_walk_that_sfm_bends_is_refused(walks: Walks) -> None:
@@ -89,7 +86,7 @@ def test_rotations_are_compared_after_a_fit_of_rotations_even_on_a_straight_path
     straight = make_pose(segment.vio_T_cam[:, :3, :3], xyz)
     vio = make_pose(segment.vio_T_cam[:, :3, :3], np.linspace([0, 0, 0], [0, 0, -1.0], len(segment.rows)))
     moved = type(segment)(**{**vars(segment), "vio_T_cam": vio})
-    fit = fit_session(moved, straight, np.ones(len(segment.rows), bool), POSE_SD)
+    fit = fit_session(moved, straight, np.ones(len(segment.rows), bool))
     assert np.median(fit.sim3.rotation_deg) < 1e-6 and 0 < np.median(fit.sim3.position_m) < 0.01
 
 

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from groundwalk.alignment.quality import FrameMeasures, count_grades, grade
-from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.quality import FrameEvidence, count_grades, grade
 from groundwalk.alignment.uncertainty import SharedSd, covariance_in_map, largest_sd, shared_covariance
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import make_pose
@@ -58,7 +57,7 @@ def test_largest_sd_looks_along_the_worst_axis() -> None:
 
 
 def test_a_class_needs_all_of_its_limits_and_says_which_it_lacks() -> None:
-    good = FrameMeasures(position_sd_m=0.005, rotation_sd_deg=0.02, observations=400, reprojection_deg=0.05)
+    good = FrameEvidence(position_sd_m=0.005, rotation_sd_deg=0.02, observations=400, reprojection_deg=0.05)
     cases: list[tuple[dict[str, Any], str, str]] = [
         ({}, "A", ""),
         ({"position_sd_m": 0.03}, "B", "class B: position uncertain 0.03 m (limit 0.02)"),
@@ -69,8 +68,7 @@ def test_a_class_needs_all_of_its_limits_and_says_which_it_lacks() -> None:
         ({"position_sd_m": np.nan, "rotation_sd_deg": np.nan}, "C", "class C: uncertainty unknown"),
         ({"reprojection_deg": np.nan}, "C", "class C: reprojection nan deg (limit 0.3)"),
     ]
-    settings = AlignSettings()
-    grades = [grade(good._replace(**changes), settings.quality_a, settings.quality_b) for changes, _, _ in cases]
+    grades = [grade(good._replace(**changes)) for changes, _, _ in cases]
     assert [(g.quality, g.reason) for g in grades] == [(quality, reason) for _, quality, reason in cases]
     assert count_grades(grades[:4] + grades[1:2]) == [
         "1 B: few points seen 70 (limit 100)",

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.quality import CLASS_A, CLASS_B
 from groundwalk.geometry.poses import make_pose
 from groundwalk.scoring.errors import (
     ACCURACY_LEVELS,
@@ -88,10 +88,9 @@ def test_missing_frames_count_as_failed() -> None:
 
 def test_classes_that_levels_count_promise_every_level_with_95_percent() -> None:
     """By the limits of align's classes: 2.8 sigma of A and B lie within the strictest level; C has no limits."""
-    settings = AlignSettings()
     bound = np.sqrt(chi2.ppf(0.95, 3))
     strictest = np.min(list(ACCURACY_LEVELS.values()), axis=0)
-    for limits in (settings.quality_a, settings.quality_b):
-        assert bound * limits.max_position_sd_m <= strictest[0] and bound * limits.max_rotation_sd_deg <= strictest[1]
+    for limits in (CLASS_A, CLASS_B):
+        assert bound * limits.position_sd_m <= strictest[0] and bound * limits.rotation_sd_deg <= strictest[1]
     stated: list[Any] = ["A", "B", "C", "none", None, np.nan]
     assert list(sure_enough(stated)) == [True, True, False, False, True, True]

@@ -8,9 +8,10 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from groundwalk.alignment.check_models import check_models, refusal
+from groundwalk.alignment.checked_map import CheckedMap
 from groundwalk.alignment.checks.results import CheckResult, main_failure, with_status
 from groundwalk.alignment.checks.summary import checks_table
-from groundwalk.alignment.examination import Examination, examine, refusal
 from groundwalk.alignment.plot import draw_checks
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.decisions import Status
@@ -26,11 +27,11 @@ FRAMES = 30
 NOISE = {"frames": FRAMES, "sfm_m": 0.01, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1, "phone_scale": 0.002}
 
 
-def run(scene: Scene) -> Examination:
-    return examine(scene.inputs(), AlignSettings())
+def run(scene: Scene) -> CheckedMap:
+    return check_models(scene.inputs(), AlignSettings())
 
 
-def error(scene: Scene, found: Examination) -> UserError | None:
+def error(scene: Scene, found: CheckedMap) -> UserError | None:
     return refusal(found, scene.frames, AlignSettings())
 
 
@@ -54,25 +55,25 @@ def make_uncertain(scene: Scene, rows: list[int] | np.ndarray) -> None:
     scene.images.loc[rows, "covariance"] = pd.Series(covariance, dtype=object).iloc[rows]
 
 
-def faults(found: Examination) -> set[tuple[FailureCause | None, str]]:
+def faults(found: CheckedMap) -> set[tuple[FailureCause | None, str]]:
     """Causes and sessions of all failed checks but those of windows."""
     return {(c.cause, c.subject.session_id) for c in failed(found) if not c.name.startswith("window")}
 
 
-def failed(found: Examination) -> list[CheckResult]:
+def failed(found: CheckedMap) -> list[CheckResult]:
     return with_status(found.checks, Status.FAILED)
 
 
-def without_ground_truth(found: Examination) -> set[int]:
+def without_ground_truth(found: CheckedMap) -> set[int]:
     """Numbers of the walks that get no ground truth at all."""
-    return {walk for walk, used in enumerate(found.has_ground_truth.reshape(-1, FRAMES)) if not used.any()}
+    return {walk for walk, used in enumerate(found.frames.has_ground_truth.reshape(-1, FRAMES)) if not used.any()}
 
 
 def test_clean_walks_pass_every_check(walks: Walks) -> None:
     for seed in range(2):
         scene = walks.make(**NOISE | {"seed": seed})
         found = run(scene)
-        assert not failed(found) and error(scene, found) is None and found.has_ground_truth.all()
+        assert not failed(found) and error(scene, found) is None and found.frames.has_ground_truth.all()
 
 
 def mirror(scene: Scene, rows: np.ndarray, axis: int) -> None:
@@ -92,7 +93,7 @@ def test_mirrored_images_are_named(walks: Walks, axis: int) -> None:
     assert (FailureCause.MIRRORED_IMAGES, "walk1") in faults(found) and without_ground_truth(found) == {1}
     mirror(scene, np.concatenate([of_walk(scene, 0), of_walk(scene, 2)]), axis)
     found = run(scene)
-    assert FailureCause.MIRRORED_IMAGES in there(error(scene, found)).what and not found.has_ground_truth.any()
+    assert FailureCause.MIRRORED_IMAGES in there(error(scene, found)).what and not found.frames.has_ground_truth.any()
 
 
 def shuffle(scene: Scene, rows: np.ndarray) -> None:
@@ -108,7 +109,7 @@ def test_shuffled_images_are_named(walks: Walks) -> None:
     shuffle(scene, rows)
     found = run(scene)
     assert faults(found) == {(FailureCause.MISMATCHED_IMAGES, "walk2")} and without_ground_truth(found) == {2}
-    assert "no relation" in found.exclusion[rows[0]]
+    assert "no relation" in found.frames.exclusion[rows[0]]
 
 
 def turn_otherwise(scene: Scene, rows: np.ndarray, gain: float) -> None:
@@ -129,7 +130,7 @@ def test_wrong_intrinsics_are_named(walks: Walks, gain: float) -> None:
     scene = walks.make(**NOISE)
     turn_otherwise(scene, of_walk(scene, 0), gain)
     found = run(scene)
-    assert (FailureCause.WRONG_INTRINSICS, "walk0") in faults(found) and not found.has_ground_truth.any()
+    assert (FailureCause.WRONG_INTRINSICS, "walk0") in faults(found) and not found.frames.has_ground_truth.any()
     assert FailureCause.WRONG_INTRINSICS in there(error(scene, found)).what
 
 
@@ -141,7 +142,7 @@ def test_a_wrong_vio_scale_costs_that_session_its_ground_truth(walks: Walks) -> 
     scene.set_vio(vio)
     found = run(scene)
     assert faults(found) == {(FailureCause.WRONG_VIO_SCALE, "walk1")} and without_ground_truth(found) == {1}
-    assert "less than the others" in found.exclusion[rows[0]]
+    assert "less than the others" in found.frames.exclusion[rows[0]]
 
 
 def test_folded_places_cost_the_whole_model(walks: Walks) -> None:
@@ -157,7 +158,7 @@ def test_folded_places_cost_the_whole_model(walks: Walks) -> None:
     scene.set_vio(vio)
     scene.set_sfm(sfm)
     found = run(scene)
-    assert (FailureCause.PERCEPTUAL_ALIASING, "walk0") in faults(found) and not found.has_ground_truth.any()
+    assert (FailureCause.PERCEPTUAL_ALIASING, "walk0") in faults(found) and not found.frames.has_ground_truth.any()
     assert FailureCause.PERCEPTUAL_ALIASING in there(error(scene, found)).what
 
 
@@ -167,7 +168,11 @@ def test_a_single_wrong_frame_is_no_fold(walks: Walks) -> None:
     sfm[25] = sfm[5]
     scene.set_sfm(sfm)
     found = run(scene)
-    assert not faults(found) and not found.has_ground_truth[25] and found.has_ground_truth.sum() == len(sfm) - 1
+    assert (
+        not faults(found)
+        and not found.frames.has_ground_truth[25]
+        and found.frames.has_ground_truth.sum() == len(sfm) - 1
+    )
 
 
 def test_a_session_of_another_scene_is_named(walks: Walks) -> None:
@@ -201,7 +206,7 @@ def test_focal_lengths_that_the_images_deny_are_named_where_motion_hides_them(wa
     assert (
         (FailureCause.WRONG_INTRINSICS, "walk0") in faults(found)
         and error(scene, found) is not None
-        and not found.has_ground_truth.any()
+        and not found.frames.has_ground_truth.any()
     )
 
 
@@ -222,7 +227,7 @@ def test_a_focal_length_that_is_near_passes_and_one_hardly_known_is_undecided(wa
     status = {c.subject.session_id: c.status for c in found.checks if c.name == "session_focal_length"}
     assert status == {"walk0": Status.PASSED, "walk1": Status.UNDECIDED}
     # Its standard error is in the frames' covariances: no frame has a lower class for it.
-    assert found.has_ground_truth.all() and not found.problem.any()
+    assert found.frames.has_ground_truth.all() and not found.frames.problem.any()
 
 
 def test_turns_are_odometrys_fault_where_the_images_confirm_the_focal_length(walks: Walks) -> None:
@@ -254,9 +259,9 @@ def test_what_a_vio_jump_cut_off_is_no_other_scene(walks: Walks, registered: boo
     recordings = cut_off(scene, rows)
     scene.images.loc[rows, "model_id"] = "incremental/1" if registered else None
     scene.images.loc[rows, "registered"] = registered
-    found = examine(scene.inputs(recordings=recordings), AlignSettings())
+    found = check_models(scene.inputs(recordings=recordings), AlignSettings())
     assert {cause for cause, _ in faults(found)} == ({FailureCause.DISCONNECTED_SESSION} if registered else set())
-    assert found.has_ground_truth.sum() == 3 * FRAMES - 8
+    assert found.frames.has_ground_truth.sum() == 3 * FRAMES - 8
 
 
 def test_a_few_unsure_frames_are_no_fault_of_their_session(walks: Walks) -> None:
@@ -267,14 +272,14 @@ def test_a_few_unsure_frames_are_no_fault_of_their_session(walks: Walks) -> None
     sfm[unsure, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])
     scene.set_sfm(sfm)
     found = run(scene)
-    assert np.flatnonzero(~found.has_ground_truth).tolist() == unsure and not faults(found)
+    assert np.flatnonzero(~found.frames.has_ground_truth).tolist() == unsure and not faults(found)
 
 
 def test_the_picture_is_drawn_for_a_refused_run_too(walks: Walks, tmp_path: Path) -> None:
     scene = walks.make(**NOISE)
     mirror(scene, np.arange(3 * FRAMES), 0)
     found = run(scene)
-    draw_checks(tmp_path / "checks.png", found, "Place", simulated=True)
+    draw_checks(tmp_path / "checks.png", found, None, "Place", simulated=True)
     assert (tmp_path / "checks.png").read_bytes().startswith(b"\x89PNG")
     table = checks_table(found.checks)
     assert list(table.columns) == schema("align", "checks").column_names
@@ -286,12 +291,12 @@ def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks: Walks) -> None:
     """A stretch whose scale is off by 3 %: within what VIO may drift by, so that only its own uncertainty tells."""
     scene = walks.make(frames=60, sfm_m=0.003, sfm_deg=0.02)
     rows = stretch(scene, 0)
-    assert run(scene).has_ground_truth.all()
+    assert run(scene).frames.has_ground_truth.all()
 
     make_uncertain(scene, rows)
     found = run(scene)
-    assert found.has_ground_truth[60:].all() and not found.has_ground_truth[rows].any()
-    assert "uncertain pose" in found.exclusion[rows[0]]
+    assert found.frames.has_ground_truth[60:].all() and not found.frames.has_ground_truth[rows].any()
+    assert "uncertain pose" in found.frames.exclusion[rows[0]]
     (check,) = [c for c in failed(found) if c.name == "session_uncertain"]
     assert check.subject.session_id == "walk0" and check.cause == FailureCause.VIO_INCONSISTENT
 
@@ -302,9 +307,9 @@ def test_frames_with_certain_motions_need_no_confirmation(walks: Walks) -> None:
     rows = stretch(scene, 0)
     make_uncertain(scene, rows)
     scene.images["motion_sd"] = 0.0085
-    assert run(scene).has_ground_truth.all()
+    assert run(scene).frames.has_ground_truth.all()
     scene.images["motion_sd"] = 0.0095
-    assert not run(scene).has_ground_truth[rows].any()
+    assert not run(scene).frames.has_ground_truth[rows].any()
 
 
 def test_an_uncertain_frame_may_differ_from_vio_as_certain_ones_do(walks: Walks) -> None:
@@ -313,20 +318,20 @@ def test_an_uncertain_frame_may_differ_from_vio_as_certain_ones_do(walks: Walks)
     rows = stretch(scene, 0)
     middle = [rows[30]]
     make_uncertain(scene, middle)
-    assert run(scene).has_ground_truth.all()
+    assert run(scene).frames.has_ground_truth.all()
 
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[middle, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])
     scene.set_sfm(sfm)
-    assert np.flatnonzero(~run(scene).has_ground_truth).tolist() == middle
+    assert np.flatnonzero(~run(scene).frames.has_ground_truth).tolist() == middle
 
 
 def test_one_unsure_frame_that_is_off_goes_alone(walks: Walks) -> None:
     scene = walks.make(frames=30, sfm_m=0.002, sfm_deg=0.02)
     make_uncertain(scene, np.arange(len(scene.images)))
-    assert run(scene).has_ground_truth.all()
+    assert run(scene).frames.has_ground_truth.all()
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[14, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])
     scene.set_sfm(sfm)
     found = run(scene)
-    assert np.flatnonzero(~found.has_ground_truth).tolist() == [14]
+    assert np.flatnonzero(~found.frames.has_ground_truth).tolist() == [14]

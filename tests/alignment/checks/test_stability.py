@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from groundwalk.alignment.check_models import check_models, refusal
 from groundwalk.alignment.checks.results import with_status
-from groundwalk.alignment.examination import examine, refusal
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.decisions import Status
 from groundwalk.store.tables import poses_of
@@ -21,8 +21,8 @@ SHORT = {"speed_m": 0.04, "sfm_m": 0.001}
 
 def status(scene: Scene) -> Status:
     """Failed where a session gets no ground truth, undecided where a check of what was captured is."""
-    found = examine(scene.inputs(), AlignSettings())
-    lost = [not found.has_ground_truth[of_walk(scene, walk)].any() for walk in range(3)]
+    found = check_models(scene.inputs(), AlignSettings())
+    lost = [not found.frames.has_ground_truth[of_walk(scene, walk)].any() for walk in range(3)]
     if refusal(found, scene.frames, AlignSettings()) is not None or any(lost):
         return Status.FAILED
     return Status.UNDECIDED if with_status(found.checks, Status.UNDECIDED) else Status.PASSED

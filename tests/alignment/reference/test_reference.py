@@ -12,8 +12,8 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from groundwalk.alignment.check_models import check_models
 from groundwalk.alignment.definition import STAGE
-from groundwalk.alignment.examination import examine
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.plot import draw_checks
 from groundwalk.alignment.reference.agreement import describe_agreement
@@ -163,13 +163,13 @@ def test_where_a_model_bends_is_named_and_drawn(walks: Walks, tmp_path: Path) ->
     middle = reference[at, :3, 3]
     reference[at:] = Sim3(1.0, turn, middle - turn @ middle).poses(reference[at:])
     inputs = scene.inputs(reference=stated(scene, reference, is_metric=False))
-    found = examine(inputs, AlignSettings(max_reference_error_deg=1.0))
+    found = check_models(inputs, AlignSettings(max_reference_error_deg=1.0))
     (failed,) = (check for check in found.checks if check.status is Status.FAILED)
     ((first, last),) = re.findall(r"most between walk0/(\d+) and walk0/(\d+)", failed.reason)
     assert int(first) <= at <= int(last) and int(last) - int(first) < 0.4 * len(reference), failed.reason
     (degrees,) = re.findall(r"up to ([0-9.]+) degrees", failed.reason)
     assert 12 < float(degrees) < 26 and "can't be told from them alone" in failed.reason
-    draw_checks(tmp_path / "checks.png", found, "Place", simulated=True)
+    draw_checks(tmp_path / "checks.png", found, inputs.reference, "Place", simulated=True)
     pixels = cv2.imread(str(tmp_path / "checks.png"))
     for colour in (GROUND_TRUTH, VIO, REJECTED):  # SfM's path, the reference's, frames beyond the limit
         assert (np.abs(there(pixels).astype(int) - colour[::-1]).max(axis=-1) < 40).sum() > 30

@@ -11,19 +11,20 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from groundwalk.alignment.check_models import check_models
+from groundwalk.alignment.checked_map import CheckedMap
 from groundwalk.alignment.definition import STAGE
-from groundwalk.alignment.examination import examine
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.reference.poses import Reference
-from groundwalk.alignment.rulers.detection import detect, explain_absence, held_out_corners, nominal_corners
-from groundwalk.alignment.rulers.measurement import (
-    RulerDetections,
-    RulerMeasurement,
+from groundwalk.alignment.rulers.detection import (
+    detect,
+    explain_absence,
     find_rulers,
-    measure_rulers,
-    undistorted,
+    held_out_corners,
+    nominal_corners,
 )
-from groundwalk.alignment.rulers.scale_check import RulerCheck, describe, rulers_table
+from groundwalk.alignment.rulers.measurement import RulerDetections, RulerMeasurement, measure_rulers, undistorted
+from groundwalk.alignment.rulers.scale_check import RulerCheck, check_rulers, describe, rulers_table
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, rulers_of
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
@@ -108,14 +109,7 @@ def sighted(
 
 
 def read(scene: Scene, *sightings: RulerDetections) -> list[RulerMeasurement]:
-    settings = AlignSettings()
-    return measure_rulers(
-        sightings,
-        scene.frames,
-        scene.images,
-        min_angle=float(np.radians(settings.ruler_min_angle_deg)),
-        max_sd=settings.ruler_max_sd,
-    )
+    return measure_rulers(sightings, scene.frames, scene.images)
 
 
 def aligned_by(scene: Scene, *sightings: RulerDetections) -> tuple[AlignResult, pd.DataFrame]:
@@ -174,8 +168,15 @@ def test_a_print_of_another_size_sets_no_scale(scene: Scene) -> None:
 
 
 def examined(scene: Scene, readings: list[RulerMeasurement], **settings: Any) -> RulerCheck:
-    (check,) = examine(scene.inputs(rulers=readings), AlignSettings(**settings)).rulers
+    (check,) = checked_rulers(scene, readings, AlignSettings(**settings))[1]
     return check
+
+
+def checked_rulers(
+    scene: Scene, readings: list[RulerMeasurement], settings: AlignSettings, reference: Reference | None = None
+) -> tuple[CheckedMap, list[RulerCheck]]:
+    checked = check_models(scene.inputs(rulers=readings, reference=reference), settings)
+    return checked, check_rulers(checked.components, readings, settings.max_ruler_size_error)
 
 
 @pytest.mark.parametrize(
@@ -187,12 +188,13 @@ def examined(scene: Scene, readings: list[RulerMeasurement], **settings: Any) ->
     ],
 )
 def test_a_wider_sigma_of_vio_never_lets_a_print_of_another_size_set_the_scale_without_a_word(
-    scene: Scene, printed: float, expected: list[tuple[bool, str]]
+    scene: Scene, printed: float, expected: list[tuple[bool, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     readings = read(scene, sighted(scene, ruler(use_for_scale=True), printed=printed))
     outcomes = []
     for phone_scale_sd in (0.002, 0.01, 0.05, 0.08, 0.2):
-        check = examined(scene, readings, phone_scale_sd=phone_scale_sd)
+        monkeypatch.setattr("groundwalk.alignment.map_frame._PHONE_SCALE_SD", phone_scale_sd)
+        check = examined(scene, readings)
         reason = check.result.reason
         outcomes.append((check.sets_scale, str(check.result.status)))
         assert reason in describe(check) and (rulers_table([check])["reason"] == reason).all()
@@ -237,9 +239,12 @@ def test_what_is_advised_of_a_print_that_differs_from_a_short_walk(walks: Walks)
     assert examined(longer, read(longer, sighted(longer, stated, printed=0.92))).result.status == "failed"
 
 
-def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(scene: Scene) -> None:
+def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # VIO that may be off by so much tells no scale.
-    still = AlignSettings(step_scale_sd=1e3)
+    monkeypatch.setattr("groundwalk.alignment.map_frame.STEP_SCALE_SD", 1e3)
+    still = AlignSettings()
     readings = read(scene, sighted(scene, ruler()))
     plain = align(scene.inputs(rulers=readings), still)
     assert set(plain.ground_truth["scale_source"]) == {"none"}
@@ -297,14 +302,13 @@ def by_reference(scene: Scene, *, metric: bool) -> Reference:
 def test_a_board_judges_the_scale_of_a_reference_and_never_sets_it(scene: Scene, printed: float) -> None:
     reference = by_reference(scene, metric=True)
     readings = read(scene, sighted(scene, ruler(use_for_scale=True), printed=printed))
-    found = examine(scene.inputs(rulers=readings, reference=reference), AlignSettings())
-    (judged,) = found.rulers
+    found, (judged,) = checked_rulers(scene, readings, AlignSettings(), reference)
     assert judged.result.status == ("passed" if printed == 1.0 else "failed") and not judged.sets_scale
-    assert found.components[0].scale.source(np.inf) == "reference"
+    assert found.components[0].scale.source == "reference"
     text = describe(judged)
     assert "the map's scale is the reference's; map's scale " in text and "not used for scale" in text
     assert ("in the map scaled by the reference its squares measure 18" in text) == (printed != 1.0)
-    assert len(rulers_table(found.rulers)) == 3
+    assert len(rulers_table([judged])) == 3
 
 
 def test_a_board_says_nothing_of_a_reference_without_unit(scene: Scene) -> None:
@@ -317,8 +321,7 @@ def test_a_board_says_nothing_of_a_reference_without_unit(scene: Scene) -> None:
 
 def test_the_table_has_a_row_a_part(scene: Scene) -> None:
     readings = read(scene, sighted(scene, ruler(use_for_scale=True)))
-    found = examine(scene.inputs(rulers=readings), AlignSettings())
-    table = rulers_table(found.rulers)
+    table = rulers_table(checked_rulers(scene, readings, AlignSettings())[1])
     assert table["part"].tolist() == ["all", "for_scale", "held_out"] and table["used_for_scale"].all()
     assert (table["corner_rms_mm"] < 10).all() and (table["reprojection_px"] < 0.5).all()
     np.testing.assert_allclose(table["scale_error_percent"], 0, atol=0.3)

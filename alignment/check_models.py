@@ -1,0 +1,254 @@
+"""Scale and vertical of each SfM model, where each lies in the map, and all checks before ground truth is given out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from groundwalk.alignment.checked_map import CheckedMap, FrameVerdicts
+from groundwalk.alignment.checks.components import check_links, check_standard_errors, missing_scale
+from groundwalk.alignment.checks.registration import check_registration
+from groundwalk.alignment.checks.results import (
+    CheckResult,
+    Subject,
+    exclusion_reasons,
+    main_failure,
+    undecided_reasons,
+    with_status,
+)
+from groundwalk.alignment.checks.sessions import check_focal_length, check_sessions
+from groundwalk.alignment.checks.uncertain_frames import check_uncertain_frames
+from groundwalk.alignment.checks.windows import check_window, component_windows, max_residuals
+from groundwalk.alignment.components import Component
+from groundwalk.alignment.map_frame import common_scale, common_vertical
+from groundwalk.alignment.reference.placement import check_session_references, fit_component, limits_of
+from groundwalk.alignment.reference.poses import Reference
+from groundwalk.alignment.rulers.measurement import RulerMeasurement
+from groundwalk.alignment.rulers.scale_check import scale_by_rulers
+from groundwalk.alignment.segments import Segment, cut_segments, registered_rows, sessions_of
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.sfm_tables import SfmTables, covariances
+from groundwalk.alignment.uncertainty import covariance_in_map, largest_sd
+from groundwalk.alignment.vio_links import place_components
+from groundwalk.consistency.decisions import Status
+from groundwalk.geometry import GeometryError
+from groundwalk.store import UserError
+from groundwalk.store.choices import FailureCause
+from groundwalk.store.hints import setting_of
+
+# A frame of class A or B is within these of its true pose with 95 %: a reference pose further away confirms neither.
+_CONFIRMED_M, _CONFIRMED_RAD = 0.25, float(np.radians(2.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlignInputs:
+    """What the alignment works on: import's tables `frames` and `jumps`, each session's recording, SfM's tables, rulers
+    as measured in SfM's models, a data set's reference poses. `gravity_tested`: the recordings whose gravity import has
+    found confirmed by the images."""
+
+    frames: pd.DataFrame
+    sfm: SfmTables
+    jumps: pd.DataFrame
+    recordings: dict[str, str]
+    rulers: Sequence[RulerMeasurement] = ()
+    reference: Reference | None = None
+    gravity_tested: frozenset[str] = frozenset()
+
+
+def check_models(inputs: AlignInputs, settings: AlignSettings) -> CheckedMap:
+    """Check SfM's models against VIO, or a reference where no frame has VIO, and put those that pass into one map.
+
+    Raises UserError where there is nothing to compare; `refusal` says whether there is ground truth at all.
+    """
+    registered = inputs.sfm.registered
+    if not registered.any():
+        raise UserError(
+            "nothing to align: SfM registered no frame",
+            where="sfm.images",
+            found=f"0 of {len(inputs.frames)} frames registered",
+            do="look at the sfm recording and its pairs table",
+        )
+    names, segments = cut_segments(inputs.frames, inputs.sfm.images, inputs.jumps, inputs.recordings)
+    models = [(name, [s for s in segments if s.component == index]) for index, name in enumerate(names)]
+    checks = check_registration(inputs.frames, registered, inputs.recordings, settings.min_registered_fraction)
+    if inputs.reference is not None and inputs.reference.gives_map:
+        return _check_by_reference(inputs, models, inputs.reference, checks, settings)
+    return _check_by_vio(inputs, models, checks, settings)
+
+
+def _check_by_vio(
+    inputs: AlignInputs,
+    models: Sequence[tuple[str, list[Segment]]],
+    checks: list[CheckResult],
+    settings: AlignSettings,
+) -> CheckedMap:
+    frames, sfm = inputs.frames, inputs.sfm
+    covariance, not_registered = covariances(sfm.images["covariance"]), sfm.not_registered
+    components, windows = [], []
+    for index, (model_id, segments) in enumerate(models):
+        component = _component(index, model_id, segments, inputs, settings)
+        if isinstance(component, CheckResult):
+            checks.append(component)
+            continue
+        components.append(component)
+        checks += check_standard_errors(component) + check_sessions(component, sfm, settings)
+        windows += component_windows(component, largest_sd(covariance_in_map(covariance, component.metric_S_sfm)))
+    checks += [result for window in windows for result in check_window(window)]
+    residual_m, residual_rad = max_residuals(len(frames), windows)
+    problem = np.where(np.isfinite(residual_m), "", "not compared with VIO").astype(object)
+    # Uncertain frames and links are judged by the frames that the checks before leave.
+    used = exclusion_reasons(checks, not_registered) == ""
+    checks += check_uncertain_frames(
+        components, frames, sfm.images, covariance, used, problem, settings.min_consistent_fraction
+    )
+    used = exclusion_reasons(checks, not_registered) == ""
+    placed, unlinked = [], []
+    if used.any():
+        in_use = [c for c in components if any(used[s.rows].any() for s in c.segments)]
+        placed, unlinked = place_components(in_use, used, settings.vio_link_m)
+    checks += check_links(placed, unlinked, settings.vio_link_m)
+    return CheckedMap(
+        components=components,
+        placed=placed,
+        checks=checks,
+        frames=FrameVerdicts(
+            registered=sfm.registered,
+            exclusion=exclusion_reasons(checks, not_registered),
+            problem=_problems(problem, checks, components),
+            residual_m=residual_m,
+            residual_rad=residual_rad,
+        ),
+        windows=windows,
+    )
+
+
+def _component(
+    index: int, model_id: str, segments: list[Segment], inputs: AlignInputs, settings: AlignSettings
+) -> Component | CheckResult:
+    """A model with its scale and vertical, or the failed check of one that has no scale and isn't the first: no VIO can
+    place it then. The first may keep SfM's unit."""
+    rows = registered_rows(segments)
+    try:
+        vio_scale = common_scale(segments)
+    except GeometryError as error:
+        reason = f"frames at one place in SfM are apart in VIO: {error}"
+        return missing_scale(index, rows, FailureCause.VIO_INCONSISTENT, reason)
+    rulers = [ruler for ruler in inputs.rulers if ruler.model_id == model_id]
+    scale = scale_by_rulers(vio_scale, rulers, settings.max_ruler_size_error) or vio_scale
+    if index and not scale.is_known:
+        reason = "its SfM model has no metric scale: VIO hardly moves in it"
+        return missing_scale(index, rows, FailureCause.DISCONNECTED_SESSION, reason)
+    max_tilt = float(np.radians(settings.max_session_tilt_deg))
+    return Component(
+        index=index,
+        model_id=model_id,
+        segments=segments,
+        scale=scale,
+        vertical=common_vertical(segments, max_tilt=max_tilt, tested=inputs.gravity_tested),
+        vio_scale=vio_scale,
+    )
+
+
+def _check_by_reference(
+    inputs: AlignInputs,
+    models: Sequence[tuple[str, list[Segment]]],
+    reference: Reference,
+    checks: list[CheckResult],
+    settings: AlignSettings,
+) -> CheckedMap:
+    """There are no windows: residuals are those against the reference. A ruler never sets the scale: lengths are the
+    reference's."""
+    limits = limits_of(reference, settings)
+    residual_m, residual_rad = np.full((2, len(inputs.frames)), np.nan)
+    placed = []
+    for index, (model_id, segments) in enumerate(models):
+        try:
+            each, rows, fit = fit_component(index, model_id, segments, reference)
+        except GeometryError as error:
+            if index == 0:
+                raise UserError(
+                    "the largest SfM model can't be aligned to the reference poses",
+                    where="frames that have both an SfM and a reference pose",
+                    expected="3 or more, in different places",
+                    found=error,
+                    do="import more frames of the data set",
+                ) from None
+            reason = f"its SfM model can't be aligned to the reference poses: {error}"
+            checks.append(missing_scale(index, registered_rows(segments), FailureCause.DISCONNECTED_SESSION, reason))
+            continue
+        placed.append(each)
+        residual_m[rows], residual_rad[rows] = fit.position, fit.rotation
+        checks += check_standard_errors(each.component)
+        checks += check_session_references(each.component, rows, fit, inputs.frames, reference, limits)
+        for session_id in sessions_of(segments):
+            of_session, focal = registered_rows(segments, session_id), inputs.sfm.focal(model_id, session_id)
+            subject = Subject(len(of_session), session_id, index)
+            result = check_focal_length(subject, of_session, focal, settings.max_focal_error)
+            checks += [result] if result is not None and len(of_session) else []
+    is_confirmed = (residual_m <= _CONFIRMED_M) & (residual_rad <= _CONFIRMED_RAD)
+    away = f"more than {_CONFIRMED_M} m or {np.degrees(_CONFIRMED_RAD):.0f} degrees from its reference pose"
+    problem = np.where(np.isfinite(residual_m), np.where(is_confirmed, "", away), "no reference pose").astype(object)
+    components = [each.component for each in placed]
+    return CheckedMap(
+        components=components,
+        placed=placed,
+        checks=checks,
+        frames=FrameVerdicts(
+            registered=inputs.sfm.registered,
+            exclusion=exclusion_reasons(checks, inputs.sfm.not_registered),
+            problem=_problems(problem, checks, components),
+            residual_m=residual_m,
+            residual_rad=residual_rad,
+        ),
+        reference_limit=(limits.position(reference.extent), limits.rotation),
+    )
+
+
+def _problems(problem: np.ndarray, checks: Sequence[CheckResult], components: list[Component]) -> np.ndarray:
+    """Why frames (N,) are of class C at best: an undecided check, else `problem` (N,); in a model without scale all
+    are, as limits are in metres."""
+    undecided = undecided_reasons(checks, len(problem))
+    problem = np.where(undecided == "", problem, undecided)
+    for component in (c for c in components if not c.scale.is_known):
+        for segment in component.segments:
+            problem[segment.rows] = "the map has no metric scale"
+    return problem
+
+
+def refusal(checked: CheckedMap, frames: pd.DataFrame, settings: AlignSettings) -> UserError | None:
+    """Why there is no ground truth at all, if there isn't; counted over the frames of the dataset."""
+    dataset = ~frames["support"].to_numpy(bool)
+    registered, passed = checked.frames.registered[dataset], checked.frames.has_ground_truth[dataset]
+    registered_fraction = registered.mean()
+    if registered_fraction < settings.min_registered_fraction:
+        return UserError(
+            "SfM registered too few frames for ground truth",
+            where="sfm.images",
+            expected=f"at least {settings.min_registered_fraction:.0%} of them",
+            found=f"{registered.sum()} of {len(registered)} ({registered_fraction:.0%})",
+            do=checked.checks[0].advice,
+        )
+    fraction, main = passed.sum() / registered.sum(), main_failure(checked.checks)
+    if main is None or (fraction >= settings.min_consistent_fraction and passed.any()):
+        return None
+    failed = len(with_status(checked.checks, Status.FAILED))
+    return UserError(
+        f"the SfM model fails its consistency checks: {main.cause}",
+        where=_place_of(main, checked, frames),
+        expected=f"ground truth for at least {settings.min_consistent_fraction:.0%} of the registered frames",
+        found=f"{passed.sum()} of {registered.sum()} ({fraction:.0%}); {failed} of {len(checked.checks)} checks "
+        f"failed; {main.reason}",
+        do=f"{main.advice}; or lower {setting_of('align', 'min_consistent_fraction')}" if passed.any() else main.advice,
+    )
+
+
+def _place_of(check: CheckResult, checked: CheckedMap, frames: pd.DataFrame) -> str:
+    """Where a check failed: its session or model, or the frames of the worst window."""
+    if check.subject.t_ns is not None:
+        worst = max(checked.windows, key=lambda w: float(w.position_m.max() / w.limit_m))
+        ids = frames["frame_id"].to_numpy(str)[worst.segment.rows[worst.inside]]
+        return f"worst from {ids[0]} to {ids[-1]}"
+    if check.subject.session_id:
+        return f"session {check.subject.session_id}"
+    return f"model {check.subject.component}"
