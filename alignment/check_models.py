@@ -103,10 +103,8 @@ def _check_by_vio(
         components, frames, sfm.images, covariance, used, problem, settings.min_consistent_fraction
     )
     used = exclusion_reasons(checks, not_registered) == ""
-    placed, unlinked = [], []
-    if used.any():
-        in_use = [c for c in components if any(used[s.rows].any() for s in c.segments)]
-        placed, unlinked = place_components(in_use, used, settings.vio_link_m)
+    in_use = [c for c in components if any(used[s.rows].any() for s in c.segments)]
+    placed, unlinked = place_components(in_use, used, settings.vio_link_m)
     checks += check_links(placed, unlinked, settings.vio_link_m)
     return CheckedMap(
         components=components,

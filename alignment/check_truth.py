@@ -10,8 +10,6 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 import typer
-from rich.console import Console
-from rich.table import Table
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
@@ -106,6 +104,14 @@ def truth_targets(gt: pd.DataFrame, true_T_cam: Array, figures: dict[str, Any]) 
     `figures` of align's manifest. Without a metric scale or a vertical there are no bounds. Raises GeometryError where
     there are too few poses."""
     has_pose = (gt["quality"] != QualityClass.NONE).to_numpy()
+    if (missing := int(np.isnan(true_T_cam[has_pose, 0, 0]).sum())) > 0:
+        raise UserError(
+            "some frames have no true pose",
+            where="true_poses.parquet of the capture",
+            expected="a row for each frame's session and time",
+            found=f"{missing} of {len(gt)} frames without one",
+            do="import and align the captures that these true poses belong to",
+        )
     map_T_cam, true_T_cam, covariance = poses_of(gt, "map_cam")[has_pose], true_T_cam[has_pose], gt["covariance"]
     targets = compare_with_truth(map_T_cam, true_T_cam, len(gt))
     # The manifest has scale and vertical of the first model only.
@@ -135,17 +141,14 @@ def check_truth(
             do="simulate longer walks",
         )
     try:
-        targets, _ = truth_targets(gt, _all_true_poses(gt, scene, profile, root), figures)
+        targets, _ = truth_targets(gt, true_poses_of(gt, scene, profile, root), figures)
     except GeometryError as error:
         raise UserError("too little ground truth to compare", where=scene, found=error) from None
     count = int((gt["quality"] != QualityClass.NONE).sum())
-    table = Table(title=f"{scene}, {profile}: {count} of {len(gt)} frames against the truth")
-    for heading in ("", "value", "target", ""):
-        table.add_column(heading, justify="left" if not heading else "right")
+    typer.echo(f"{scene}, {profile}: {count} of {len(gt)} frames against the truth")
     for target in targets:
-        value, status = f"{target.value:.3f} {target.unit}", "ok" if target.is_met else "missed"
-        table.add_row(target.name, value, target.limits, status)
-    Console().print(table)
+        status = "ok" if target.is_met else "missed"
+        typer.echo(f"{status:>6}  {target.name}: {target.value:.3f} {target.unit} ({target.limits})")
     if not all(target.is_met for target in targets):
         raise typer.Exit(1)
 
@@ -166,19 +169,3 @@ def true_poses_of(frames: pd.DataFrame, scene: str, profile: str, root: DataRoot
     keys = pd.DataFrame({"session_id": frames["session_id"].map(recording), "t_ns": frames["t_ns"]})
     truth = read_table(path, schema("simulate", "true_poses"))
     return poses_of(keys.merge(truth, on=["session_id", "t_ns"], how="left", validate="many_to_one"), "map_cam")
-
-
-def _all_true_poses(gt: pd.DataFrame, scene: str, profile: str, root: DataRoot) -> Array:
-    """The same of ground truth, which has a pose for no frame that the simulator has none for."""
-    true_T_cam = true_poses_of(gt, scene, profile, root)
-    has_pose = (gt["quality"] != QualityClass.NONE).to_numpy()
-    missing = int(np.isnan(true_T_cam[has_pose, 0, 0]).sum())
-    if missing:
-        raise UserError(
-            "some frames have no true pose",
-            where=root.captures(scene) / "true_poses.parquet",
-            expected="a row for each frame's session and time",
-            found=f"{missing} of {len(gt)} frames without one",
-            do="import and align the captures that these true poses belong to",
-        )
-    return true_T_cam

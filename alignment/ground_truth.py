@@ -115,7 +115,8 @@ def ground_truth_table(
     """The align.ground_truth table of import's frames, and the classes of those that have ground truth; `images` are
     SfM's in the same order, `map_T_cam` (N, 4, 4) their poses."""
     has_truth, sfm_covariance = verdicts.has_ground_truth, covariances(images["covariance"])
-    component, scale_source = np.full(len(frames), -1), np.full(len(frames), None, dtype=object)
+    component = np.full(len(frames), -1)
+    scale_source, vertical_source = np.full((2, len(frames)), None, dtype=object)
     is_linked = np.zeros(len(frames), dtype=bool)
     # Of the model alone, SfM's and the link's to the map, by which frames are graded; and in all.
     of_model, whole = np.full((2, len(frames), 6, 6), np.nan)
@@ -125,6 +126,7 @@ def ground_truth_table(
         if not len(rows):
             continue
         component[rows], scale_source[rows] = each.component.index, each.component.scale.source
+        vertical_source[rows] = placed[0].component.vertical.source
         xyz = map_T_cam[rows, :3, 3]
         of_model[rows], anchor = covariance_in_map(sfm_covariance[rows], each.map_S_sfm), xyz.mean(axis=0)
         if each.link is not None:
@@ -145,7 +147,7 @@ def ground_truth_table(
     table["quality"] = np.where(has_truth, [g.quality for g in grades], QualityClass.NONE)
     table["reason"] = np.where(has_truth, [g.reason for g in grades], verdicts.exclusion)
     table["scale_source"] = scale_source
-    table["vertical_source"] = np.where(component >= 0, placed[0].component.vertical.source, None)
+    table["vertical_source"] = vertical_source
     # Later stages need the cameras that go with these poses, and read no table of SfM.
     table[[*CAMERA_COLUMNS, "camera_origin"]] = images[[*CAMERA_COLUMNS, "camera_origin"]]
     table["gt_uses_vio"] = images["uses_vio"].to_numpy(bool) | is_linked

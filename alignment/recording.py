@@ -1,6 +1,6 @@
 """recording.rrd: the model in the map, ground truth by quality, VIO beside it, and their distance over time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,6 @@ from groundwalk.store.recording import UP_AXIS, log_camera, log_path
 _QUALITY_COLOURS = {QualityClass.A: GROUND_TRUTH, QualityClass.B: (110, 200, 170), QualityClass.C: NEUTRAL}
 # Sessions in the residuals' two plots; grey, green and orange mean something else.
 _SESSION_COLOURS = [(0, 114, 178), (204, 121, 167), (86, 180, 233), (240, 228, 66), (170, 110, 40), (150, 110, 220)]
-_DEPTH_COLOUR = (120, 94, 240)
 # Sessions have different clocks; from each one's start their curves lie over each other.
 _TIMELINE = "session_time"
 # Ellipsoids are drawn so many times too large: a centimetre on a walk of 50 m can't be seen.
@@ -44,13 +43,8 @@ def blueprint() -> rrb.Blueprint:
     )
 
 
-def log_models(
-    rec: rr.RecordingStream,
-    placed: Sequence[PlacedComponent],
-    points: pd.DataFrame,
-    depth_clouds: Mapping[str, Array],
-) -> None:
-    """SfM's points of each model, and beside them a depth sensor's, points (N, 3) in the map by session."""
+def log_models(rec: rr.RecordingStream, placed: Sequence[PlacedComponent], points: pd.DataFrame) -> None:
+    """SfM's points of each model."""
     rec.log("map", UP_AXIS, static=True)
     for each in placed:
         of_model = points[points["model_id"] == each.component.model_id]
@@ -58,11 +52,6 @@ def log_models(
         colours = of_model[["r", "g", "b"]].to_numpy(np.uint8)
         cloud = rr.Points3D(xyz, colors=colours, radii=rr.Radius.ui_points(1.5))
         rec.log(f"map/points/model_{each.component.index}", cloud, static=True)
-    for session_id, xyz in depth_clouds.items():
-        cloud = rr.Points3D(xyz, colors=_DEPTH_COLOUR, radii=rr.Radius.ui_points(1.0))
-        rec.log(f"map/depth/{session_id}", cloud, static=True)
-        note = "depth sensor, back-projected from the ground-truth poses for comparison: no points of the map"
-        rec.log(f"map/depth/{session_id}", rr.AnyValues(note=note), static=True)
 
 
 def log_frames(rec: rr.RecordingStream, truth: pd.DataFrame, map_T_cam: Array, frames: pd.DataFrame) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,8 +13,8 @@ from groundwalk.alignment.checks.depth import check_depth
 from groundwalk.alignment.checks.results import CheckResult
 from groundwalk.alignment.checks.summary import checks_table, describe
 from groundwalk.alignment.components import MAX_SCALE_SD, MAX_VERTICAL_SD, MapScale, Vertical
-from groundwalk.alignment.depth import DepthSamples, depth_clouds, has_depth, sample_frames
 from groundwalk.alignment.depth import agreement_table as depth_table
+from groundwalk.alignment.depth import has_depth, sample_frames
 from groundwalk.alignment.drift import ALL
 from groundwalk.alignment.ground_truth import AlignResult, build, camera_sd
 from groundwalk.alignment.plot import draw_checks
@@ -70,9 +71,7 @@ def run(r: StageRun[AlignSettings]) -> None:
         r.say(line)
     _write_origin(r, reference)
     with r.step("recording"), r.recording(blueprint()) as rec:
-        has_truth, is_metric = dataset.frames.has_ground_truth, result.main.component.scale.is_known
-        clouds = depth_clouds(frames, result.map_T_cam, has_truth, r.image_path) if len(depth) and is_metric else {}
-        log_models(rec, result.placed, r.read("sfm", "points"), clouds)
+        log_models(rec, result.placed, r.read("sfm", "points"))
         log_frames(rec, result.ground_truth, result.map_T_cam, frames)
         log_sessions(rec, result.fits, frames, camera_length_m(result.ground_truth))
 
@@ -105,13 +104,15 @@ def _check_by_depth(
     r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap
 ) -> tuple[pd.DataFrame, list[CheckResult]]:
     """The depth_agreement table, and the checks by it where the map is metric."""
-    if not has_depth(frames):
-        return depth_table(DepthSamples.empty(), r.seed), []
-    folders, placed = r.read("sfm", "models").set_index("model_id")["folder"], checked.placed
+    placed = checked.placed if has_depth(frames) else []
     used = checked.frames.has_ground_truth
-    samples = sample_frames(frames, images, used, placed, lambda name: r.folder("sfm") / folders[name], r.image_path)
+
+    def folder_of(model_id: str) -> Path:
+        return r.folder("sfm") / r.read("sfm", "models").set_index("model_id")["folder"][model_id]
+
+    samples = sample_frames(frames, images, used, placed, folder_of, r.image_path)
     agreement = depth_table(samples, r.seed)
-    if not placed[0].component.scale.is_known:
+    if not checked.placed[0].component.scale.is_known:
         return agreement, []
     checks, lines = check_depth(agreement)
     for line in lines:

@@ -37,6 +37,8 @@ def place_components(
     frames in it and in the map, over the shortest path of at most `max_link_m`; half a window around it is fitted on
     both sides. Links through several sessions must agree within VIO's drift.
     """
+    if not components:
+        return [], []
     first = components[0]
     # Without a scale positions say nothing of the heading.
     sd = POSE_SD if first.scale.is_known else PoseSd(np.inf, POSE_SD.rotation)

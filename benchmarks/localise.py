@@ -23,21 +23,20 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
 from benchmarks.lights import frames_in
-from benchmarks.localise_growth import growth
 from benchmarks.localise_lights import Figure, lights_section
 from benchmarks.localise_regressors import answers_of, trained_regressors
 from benchmarks.results import machine, markdown_table
 from groundwalk.export.regressor import TrainedRegressor
 from groundwalk.geometry.poses import Array, make_pose
-from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.build import build_map
-from groundwalk.localisation.compact import read_map, write_map
-from groundwalk.localisation.feature_kinds import ALIKED, SIFT, XFEAT
+from groundwalk.localisation.compact import CompactMap, read_map, write_map
+from groundwalk.localisation.frames import subset
 from groundwalk.localisation.hloc import HLocLocaliser
 from groundwalk.localisation.inputs import Inputs, read_features, read_inputs, training_of
 from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings, StructureSettings
 from groundwalk.localisation.prepared import Training, prepare
 from groundwalk.localisation.query import MapLocaliser
+from groundwalk.localisation.results import QueryResult
 from groundwalk.localisation.stage import errors_of
 from groundwalk.scoring.errors import BOUND_95, normalised_squares, pose_error
 from groundwalk.store import DataRoot, UserError
@@ -52,7 +51,7 @@ app = new_app(__doc__ or "")
 PRIOR_SD_M, PRIOR_SD_DEG = 0.3, 3.0
 _TIMED = 40
 Rows = NDArray[np.int64]
-Chosen = tuple[StructureSettings, MapSettings]
+_PARTS = (8, 4, 2, 1)
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Built:
-    """The localisers of some training frames, and what they're asked with; `others` are HLocs on other features."""
+    """The localisers of some training frames, and what they're asked with."""
 
     inputs: Inputs
     training: Training
@@ -78,7 +77,6 @@ class Built:
     localiser: MapLocaliser
     bytes_: int
     hloc: HLocLocaliser
-    others: dict[str, HLocLocaliser]
     regressors: list[TrainedRegressor]
 
 
@@ -133,8 +131,6 @@ _GROWTH = Case(
     {
         "exponent of query time against training frames": (None, 0.5),
         "exponent of bytes against training frames": (None, 1.0),
-        "filled up to Table I's frames: file": (None, 85.0),
-        "filled up to Table I's frames: time by the demo's": (None, 1.5),
     },
 )
 _LIMITS = [(0.25, 2.0), (0.02, 0.5), (0.01, 0.5), (5.0, 10.0)]
@@ -150,20 +146,8 @@ def main(
     out: Annotated[Path, typer.Option(help="folder for localise.md and .csv")] = Path("docs/results"),
     lights: Annotated[Path, typer.Option(help="folder for Church's test walks in other lights")] = Path("build/lights"),
     only: Annotated[str, typer.Option(help="cases whose names start so")] = "",
-    settings: Annotated[list[str] | None, typer.Option("--set", help="a setting of the map, key=value")] = None,
-    learned: Annotated[bool, typer.Option("--learned", help="HLoc on features of networks, too, on Church")] = False,
 ) -> None:
     """Build each case's map, ask its queries, and write what came out."""
-    values = dict(item.split("=", 1) for item in settings or [])
-    unknown = set(values) - set(StructureSettings.model_fields) - set(MapSettings.model_fields)
-    if unknown:
-        raise UserError(f"there is no setting {min(unknown)!r}", where="--set")
-    extraction = {name: value for name, value in values.items() if name in StructureSettings.model_fields}
-    of_map = {name: value for name, value in values.items() if name in MapSettings.model_fields}
-    chosen = (
-        StructureSettings.model_validate(extraction, strict=False),
-        MapSettings.model_validate(of_map, strict=False),
-    )
     revision = git_revision()
     figures: list[Figure] = []
     built: dict[tuple[str, str], Built] = {}
@@ -173,50 +157,46 @@ def main(
             continue
         with one_thread():
             key = case.scene, case.queries
-            built[key] = built.get(key) or build(case, root, profile, chosen, learned and case.scene == "Church")
+            built[key] = built.get(key) or build(case, root, profile)
             if case is _GROWTH:
-                figures += _growth(built[key], chosen)
+                figures += _growth(built[key])
             else:
                 folder = lights / case.scene / case.light
                 if case.light != Appearance.SAME:
                     frames_in(root.captures(case.scene), case.light, folder, os.cpu_count() or 1)
                 figures += run_case(case, built[key], folder)
         # After each case: the last of them take an hour to come to.
-        write_report(out, figures, chosen, profile, revision)
+        write_report(out, figures, profile, revision)
     if not figures:
         raise UserError("there is no run of any case", where=data, do="run import, sfm and align of Church first")
 
 
-def build(case: Case, root: DataRoot, profile: str, settings: Chosen, learned: bool) -> Built:
+def build(case: Case, root: DataRoot, profile: str) -> Built:
     """The localisers of a case's training frames."""
     run = root.run(profile, case.scene)
     inputs = read_inputs(run)
     query = query_rows(case.queries, inputs)
-    training = np.setdiff1d(training_rows(case.queries, inputs), query)
+    rows = np.setdiff1d(training_rows(case.queries, inputs), query)
     captures, imported = root.captures(case.scene), run / "import"
     images = [image_file(name, captures, imported) for name in inputs.frames["image"]]
-    extraction, map_settings = settings
-    of_kind = {
-        kind: training_of(inputs, training, read_features(inputs, training, captures, imported, extraction, kind))
-        for kind in (SIFT, *((XFEAT, ALIKED) if learned else ()))
-    }
-    given = of_kind.pop(SIFT)
+    training = training_of(inputs, rows, read_features(inputs, rows, captures, imported, StructureSettings()))
     start = time.process_time()
-    prepared = prepare(case.scene, given, extraction)
-    content = build_map(prepared, map_settings)
+    prepared = prepare(case.scene, training, StructureSettings())
+    content = build_map(prepared, MapSettings())
     spent = time.process_time() - start
     print(f"{case.name}: map in {spent:.0f} s, {content.calibration}, {content.priors}", flush=True)
+    size, localiser = _kept(content)
+    regressors = list(trained_regressors(root, profile, case.scene))
+    hloc = HLocLocaliser(prepared, HLocSettings())
+    return Built(inputs, training, query, images, localiser, size, hloc, regressors)
+
+
+def _kept(content: CompactMap) -> tuple[int, MapLocaliser]:
+    """The bytes of a map's file, and the localiser out of it."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "map.gwm"
         write_map(file, content)
-        size, localiser = file.stat().st_size, MapLocaliser(read_map(file))
-    others = {
-        f"HLoc-{kind.id}": HLocLocaliser(prepare(case.scene, frames, extraction, kind=kind), HLocSettings())
-        for kind, frames in of_kind.items()
-    }
-    hloc = HLocLocaliser(prepared, HLocSettings())
-    regressors = list(trained_regressors(root, profile, case.scene))
-    return Built(inputs, given, query, images, localiser, size, hloc, others, regressors)
+        return file.stat().st_size, MapLocaliser(read_map(file))
 
 
 def run_case(case: Case, built: Built, folder: Path) -> list[Figure]:
@@ -235,7 +215,6 @@ def run_case(case: Case, built: Built, folder: Path) -> list[Figure]:
         *_accuracy(case.name, "Map", asked, truth),
         *_accuracy(case.name, "Map without gravity", without, truth),
         *_accuracy(case.name, "HLoc", baseline, truth),
-        *_others(case.name, built, files, pictures, truth),
         *_honesty(case.name, "Map", asked, truth),
         Figure(case.name, "Map", "file", built.bytes_ / 1e6, "MB"),
         Figure(case.name, "HLoc", "file", sum(hloc.bytes_by_part().values()) / 1e6, "MB"),
@@ -243,43 +222,39 @@ def run_case(case: Case, built: Built, folder: Path) -> list[Figure]:
         Figure(case.name, "Map", "training frames", len(built.training.views), ""),
         *_times(case.name, localiser, hloc, list(pictures.values()), inputs, query),
     ]
-    for row, answer, true in zip(query.tolist(), asked, truth, strict=True):
-        p, r = errors_of([answer], true[None])
-        if not p[0] < 0.25:
-            what = f"{p[0]:.3f} m, {r[0]:.2f} deg, {answer.inliers} inliers; {answer.reason}"
-            print(f"  {inputs.frames['frame_id'][row]}: {what}")
+    ids = inputs.frames["frame_id"]
+    for regressor in built.regressors:
+        answers = answers_of(regressor, {ids[row]: file for row, file in files.items()})
+        figures += _accuracy(case.name, regressor.model, answers, truth)
     _say(figures)
     return figures
 
 
-def _others(
-    case: str, built: Built, files: dict[int, Path], pictures: dict[int, NDArray[np.uint8]], truth: Array
-) -> Iterable[Figure]:
-    """The regressors' figures, and those of HLoc on other features."""
-    ids = built.inputs.frames["frame_id"]
-    for regressor in built.regressors:
-        answers = answers_of(regressor, {ids[row]: file for row, file in files.items()})
-        yield from _accuracy(case, regressor.model, answers, truth)
-    for name, localiser in built.others.items():
-        start = time.perf_counter()
-        answers = [localiser.localise(picture, built.inputs.logged[row]) for row, picture in pictures.items()]
-        yield Figure(case, name, "time, mean", 1000 * (time.perf_counter() - start) / len(answers), "ms")
-        yield Figure(case, name, "file", sum(localiser.bytes_by_part().values()) / 1e6, "MB")
-        yield from _accuracy(case, name, answers, truth)
-
-
-def _growth(built: Built, settings: Chosen) -> list[Figure]:
-    inputs = built.inputs
+def _growth(built: Built) -> list[Figure]:
+    """How the Map's query time and bytes grow: maps of every eighth, fourth, second and each training frame."""
+    inputs, given = built.inputs, built.training
     rows = built.query[:: max(1, len(built.query) // _TIMED)].tolist()
-    asked = [
-        (
-            read_grey_image(built.images[row]),
-            inputs.logged[row],
-            inputs.gravity[row] if np.isfinite(inputs.gravity[row]).all() else None,
-        )
-        for row in rows
-    ]
-    figures = [Figure(_GROWTH.name, "Map", *figure) for figure in growth(built.training, asked, *settings)]
+    pictures = [read_grey_image(built.images[row]) for row in rows]
+    figures, frames, ms, sizes = [], [], [], []
+    for every in _PARTS:
+        some = np.arange(0, len(given.views), every)
+        logged, found = tuple(given.logged[row] for row in some), tuple(given.features[row] for row in some)
+        training = Training(subset(given.views, some), logged, given.gravity[some], found)
+        size, localiser = _kept(build_map(prepare("growth", training, StructureSettings()), MapSettings()))
+        costs = []
+        for row, picture in zip(rows, pictures, strict=True):
+            start, down = time.process_time(), inputs.gravity[row]
+            localiser.localise(picture, inputs.logged[row], down if np.isfinite(down).all() else None)
+            costs.append(1000 * (time.process_time() - start))
+        frames.append(len(some))
+        ms.append(float(np.median(costs)))
+        sizes.append(size)
+        name = f"{len(some)} training frames"
+        figures.append(Figure(_GROWTH.name, "Map", f"{name}: time, processor, median", ms[-1], "ms"))
+        figures.append(Figure(_GROWTH.name, "Map", f"{name}: file", size / 1e6, "MB"))
+    for name, values in (("query time", ms), ("bytes", sizes)):
+        slope = float(np.polyfit(np.log(frames), np.log(values), 1)[0])
+        figures.append(Figure(_GROWTH.name, "Map", f"exponent of {name} against training frames", slope, ""))
     _say(figures)
     return figures
 
@@ -304,7 +279,7 @@ def training_rows(queries: str, inputs: Inputs) -> Rows:
     return np.flatnonzero((inputs.frames["split"] == "train").to_numpy() | (queries != "test"))
 
 
-def _accuracy(case: str, localiser: str, answers: Sequence[Answer], truth: Array) -> Iterable[Figure]:
+def _accuracy(case: str, localiser: str, answers: Sequence[QueryResult], truth: Array) -> Iterable[Figure]:
     position, rotation = errors_of(answers, truth)
     yield Figure(case, localiser, "queries", len(answers), "")
     yield Figure(case, localiser, "refused", float(np.isinf(position).sum()), "")
@@ -319,7 +294,7 @@ def _accuracy(case: str, localiser: str, answers: Sequence[Answer], truth: Array
         yield Figure(case, localiser, f"{name}, rotation", float(np.percentile(rotation, q, method="lower")), "deg")
 
 
-def _honesty(case: str, localiser: str, answers: Sequence[Answer], truth: Array) -> Iterable[Figure]:
+def _honesty(case: str, localiser: str, answers: Sequence[QueryResult], truth: Array) -> Iterable[Figure]:
     given = [
         (a, t) for a, t in zip(answers, truth, strict=True) if a.map_T_cam is not None and a.covariance is not None
     ]
@@ -346,38 +321,31 @@ def _times(
     """Milliseconds from a decoded image to its pose, on the clock, and of the processor."""
     rng = np.random.default_rng(0)
     rows = np.unique(np.linspace(0, len(query) - 1, min(_TIMED, len(query))).astype(int))
-    timed: dict[str, list[dict[str, float]]] = {"": [], " with a prior": []}
-    baseline: list[tuple[float, float]] = []
-    with_prior: list[Answer] = []
+    costs: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    with_prior: list[QueryResult] = []
     for row in rows.tolist():
         image, camera, gravity = pictures[row], inputs.logged[query[row]], inputs.gravity[query[row]]
         down = gravity if np.isfinite(gravity).all() else None
-        shift = make_pose(
-            Rotation.from_rotvec(np.radians(PRIOR_SD_DEG) * rng.standard_normal(3)).as_matrix(),
-            PRIOR_SD_M * rng.standard_normal(3),
-        )
-        for name, prior in (("", None), (" with a prior", inputs.views.map_T_cam[query[row]] @ shift)):
+        turn = Rotation.from_rotvec(np.radians(PRIOR_SD_DEG) * rng.standard_normal(3)).as_matrix()
+        shift = make_pose(turn, PRIOR_SD_M * rng.standard_normal(3))
+        for asked, name, prior in (
+            (localiser, "", None),
+            (localiser, " with a prior", inputs.views.map_T_cam[query[row]] @ shift),
+            (hloc, "", None),
+        ):
             start, cpu = time.perf_counter(), time.process_time()
-            answer = localiser.localise(image, camera, down, prior)
-            whole = {"": time.perf_counter() - start, ", processor": time.process_time() - cpu}
+            answer = asked.localise(image, camera, down, prior)
+            spent = 1000 * (time.perf_counter() - start), 1000 * (time.process_time() - cpu)
+            costs.setdefault(("Map" if asked is localiser else "HLoc", name), []).append(spent)
             with_prior += [answer] if prior is not None else []
-            timed[name].append(whole | {f", {part}": s for part, s in answer.seconds.items()})
-        start, cpu = time.perf_counter(), time.process_time()
-        hloc.localise(image, camera)
-        baseline.append((time.perf_counter() - start, time.process_time() - cpu))
     yield from _accuracy(case, "Map with a prior", with_prior, inputs.views.map_T_cam[query[rows]])
-    for name, parts in timed.items():
-        for part in parts[0]:
-            ms = [1000 * seconds.get(part, 0.0) for seconds in parts]
-            yield Figure(case, "Map", f"time{name}{part}, median", float(np.median(ms)), "ms")
-            yield Figure(case, "Map", f"time{name}{part}, p95", float(np.percentile(ms, 95)), "ms")
-    for number, part in enumerate(("", ", processor")):
-        ms = [1000 * seconds[number] for seconds in baseline]
-        yield Figure(case, "HLoc", f"time{part}, median", float(np.median(ms)), "ms")
-        yield Figure(case, "HLoc", f"time{part}, p95", float(np.percentile(ms, 95)), "ms")
+    for (name, prior_text), spent_ms in costs.items():
+        for part, ms in zip(("", ", processor"), np.transpose(spent_ms), strict=True):
+            yield Figure(case, name, f"time{prior_text}{part}, median", float(np.median(ms)), "ms")
+            yield Figure(case, name, f"time{prior_text}{part}, p95", float(np.percentile(ms, 95)), "ms")
 
 
-def write_report(out: Path, figures: Sequence[Figure], settings: Chosen, profile: str, revision: str) -> None:
+def write_report(out: Path, figures: Sequence[Figure], profile: str, revision: str) -> None:
     """Write localise.md and localise.csv into the folder."""
     out.mkdir(parents=True, exist_ok=True)
     head = {
@@ -386,7 +354,11 @@ def write_report(out: Path, figures: Sequence[Figure], settings: Chosen, profile
         "machine": machine(),
         "profile": profile,
         "seed": "0",
-        "settings": ", ".join(f"{name} {value}" for part in settings for name, value in part.model_dump().items()),
+        "settings": ", ".join(
+            f"{name} {value}"
+            for part in (StructureSettings(), MapSettings())
+            for name, value in part.model_dump().items()
+        ),
     }
     targets = {(case.name, name): bounds for case in [*CASES, _GROWTH] for name, bounds in case.targets.items()}
     with (out / "localise.csv").open("w", newline="", encoding="utf-8") as file:

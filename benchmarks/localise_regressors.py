@@ -10,7 +10,7 @@ import torch
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.regressor import TrainedRegressor, load_regressor
 from groundwalk.geometry.poses import Array, make_pose
-from groundwalk.localisation.answers import NOTHING_SEEN, Answer
+from groundwalk.localisation.results import NOTHING_SEEN, QueryResult
 from groundwalk.runtime.bundle import matrix_of
 from groundwalk.store import DataRoot
 from groundwalk.store.schemas import schema
@@ -25,13 +25,13 @@ def trained_regressors(data: DataRoot, profile: str, scene: str) -> Iterator[Tra
             yield load_regressor(data, profile, scene, model)
 
 
-def answers_of(regressor: TrainedRegressor, files: Mapping[str, Path]) -> list[Answer]:
+def answers_of(regressor: TrainedRegressor, files: Mapping[str, Path]) -> list[QueryResult]:
     """What it says of frames, by id, in their order, with these files for their images."""
     frames = regressor.frames.set_index("frame_id", drop=False)
     frames.loc[list(files), "file"] = np.array([*files.values()], object)
     inputs = PhoneInputs(replace(regressor, frames=frames))
     row_of = {frame_id: row for row, frame_id in enumerate(frames.index)}
-    return [Answer(_pose(inputs, row_of[frame_id]), None, None, "", 0, 0, NOTHING_SEEN, {}) for frame_id in files]
+    return [QueryResult(_pose(inputs, row_of[frame_id]), None, None, "", 0, 0, NOTHING_SEEN, {}) for frame_id in files]
 
 
 def _pose(inputs: PhoneInputs, row: int) -> Array:

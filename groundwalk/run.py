@@ -25,8 +25,8 @@ from groundwalk.store.tables import dataset_frames, points_in_map, poses_of, rea
 
 if TYPE_CHECKING:
     from groundwalk.geometry.cameras import Camera
-    from groundwalk.localisation.answers import Answer
     from groundwalk.localisation.localisers import FileLocaliser
+    from groundwalk.localisation.results import QueryResult
     from groundwalk.torch_dataset import TorchDataset, Transform
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -121,10 +121,10 @@ class Run:
         gravity: "ArrayLike | None" = None,
         prior: "ArrayLike | None" = None,
         model: str | None = None,
-    ) -> "Answer":
-        """Where an image was taken, by a structure localiser of the stage localise: an `Answer` with map_T_cam (4, 4),
-        metres, its covariance (6, 6) of (rotation, position) in the map's axes, rad and m, and inliers; or without a
-        pose, but with a `refusal` and its `reason`.
+    ) -> "QueryResult":
+        """Where an image was taken, by a structure localiser of the stage localise: a `QueryResult` with map_T_cam (4,
+        4), metres, its covariance (6, 6) of (rotation, position) in the map's axes, rad and m, and inliers; or without
+        a pose, but with a `refusal` and its `reason`.
 
         image: RGB (H, W, 3) or grey (H, W), uint8, or a file, as the sensor delivers it. intrinsics: in pixels of that
         image, a geometry.cameras.Camera, a mapping with fx, fy, cx, cy (and width, height, first_row), K (3, 3) or

@@ -11,14 +11,13 @@ from groundwalk.localisation.localiser_settings import MapSettings
 from groundwalk.localisation.pose import NO_VERTICAL, Priors
 from groundwalk.localisation.prepared import Prepared, Track, Training, untracked
 from groundwalk.localisation.query import MapLocaliser
-from groundwalk.localisation.structure import Structure, structure_of
+from groundwalk.localisation.structure import MIN_POINTS, Structure, structure_of
 
 # Least that priors are taken to be wide: what few frames scatter by says little.
 _MIN_ANGULAR_SD, _MIN_VELOCITY_SD, _MIN_FOCAL_SD, _MIN_GRAVITY_SD = 0.05, 0.2, 0.002, np.radians(0.05)
 _PIXEL_SD = 0.1
-_ENOUGH_TRIALS = 60
-# Fewer have no principal components and no words.
-MIN_POINTS = 100
+# Every fifth training frame calibrates the map's answers; in a small scene each one, fold by fold.
+_FOLDS, _ENOUGH_TRIALS = 5, 60
 
 
 def map_localiser(prepared: Prepared, settings: MapSettings, track: Track = untracked) -> MapLocaliser:
@@ -29,11 +28,9 @@ def map_localiser(prepared: Prepared, settings: MapSettings, track: Track = untr
 def build_map(prepared: Prepared, settings: MapSettings, track: Track = untracked) -> CompactMap:
     """The calibrated map of the training frames."""
     training = prepared.training
-    folds = settings.calibration_every
-    fold = np.arange(len(training.views)) % folds
+    fold = np.arange(len(training.views)) % _FOLDS
     trials: list[Trial] = []
-    # In a small scene each frame is held out once, in a large one every n-th says enough.
-    for number in range(folds):
+    for number in range(_FOLDS):
         if len(trials) >= _ENOUGH_TRIALS:
             break
         rows = np.flatnonzero(fold == number)

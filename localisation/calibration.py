@@ -10,9 +10,10 @@ from scipy.optimize import minimize
 from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, transform
-from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.compact import Calibration
-from groundwalk.localisation.query import MapLocaliser, with_lens
+from groundwalk.localisation.frames import with_lens
+from groundwalk.localisation.query import MapLocaliser
+from groundwalk.localisation.results import QueryResult
 from groundwalk.scoring.errors import BOUND_95, normalised_squares, pose_error
 
 UNCALIBRATED = Calibration(min_inliers=6, covariance_factor=1.0, position_floor_m=0.0, rotation_floor_rad=0.0)
@@ -29,7 +30,7 @@ class Trial:
     """A held-out frame's answer, its true pose (4, 4), and the inliers that it has where nothing it sees is in the
     map."""
 
-    answer: Answer
+    answer: QueryResult
     truth: Array
     inliers_elsewhere: int
 

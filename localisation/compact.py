@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.vlad import k_means, nearest_centres
-from groundwalk.localisation.features import unit
+from groundwalk.localisation.frames import Lens
 from groundwalk.localisation.localiser_settings import MapSettings, StructureSettings
 from groundwalk.localisation.map_file import Sections, packed, read_sections, write_sections
+from groundwalk.localisation.matching import unit
 from groundwalk.localisation.pose import Priors
 from groundwalk.localisation.selection import covering_points
 from groundwalk.localisation.structure import Structure
@@ -20,19 +21,11 @@ from groundwalk.store.errors import UserError
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float32]
 
+# Principal components kept of each descriptor, one byte each: with 28,000 points the demo's map has 2 MB.
+_DIMENSIONS = 40
 _GRID = 6
 _BYTE = 127.0
 _LARGEST_COMPONENT = 0.6
-
-
-@dataclass(frozen=True)
-class Lens:
-    """The lens of a device: focal length by the longer side of the image, k1, k2, p1, p2, ... as OpenCV has them, and
-    the readout time of an image, s."""
-
-    focal: float
-    distortion: tuple[float, ...]
-    readout_s: float
 
 
 @dataclass(frozen=True)
@@ -89,7 +82,7 @@ def compact_map(
     sift = _mean_descriptors(structure)
     chosen = covering_points(points.point, _cells(structure), _quality(structure), settings.max_points)
     mean = sift.mean(axis=0)
-    basis = np.linalg.eigh(np.cov((sift - mean).T))[1][:, : -settings.dimensions - 1 : -1].astype(np.float32)
+    basis = np.linalg.eigh(np.cov((sift - mean).T))[1][:, : -_DIMENSIONS - 1 : -1].astype(np.float32)
     basis, mean = basis.astype(np.float16).astype(np.float32), mean.astype(np.float16).astype(np.float32)
     descriptors = unit((sift[chosen] - mean) @ basis)
     rng = np.random.default_rng(0)
@@ -180,16 +173,13 @@ def _to_sections(content: CompactMap) -> tuple[dict[str, NDArray[Any]], dict[str
     return arrays, metadata
 
 
-def read_map(path: Path, scene: str | None = None) -> CompactMap:
-    """A map from its file; UserError where that isn't one, is damaged, or is of another scene than asked for."""
+def read_map(path: Path) -> CompactMap:
+    """A map from its file; UserError where that isn't one, or is damaged."""
     sections = read_sections(path)
     try:
-        content = _from_sections(sections)
+        return _from_sections(sections)
     except (KeyError, TypeError, ValueError) as error:
         raise UserError("a map lacks a section, or has one of another type", where=path, found=error) from error
-    if scene is not None and content.scene != scene:
-        raise UserError("a map is of another scene", where=path, expected=scene, found=content.scene)
-    return content
 
 
 def _from_sections(sections: Sections) -> CompactMap:

@@ -1,6 +1,6 @@
 """Training frames as the map is built from them: poses, cameras and how each camera moved while it was read out."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +8,30 @@ from numpy.typing import NDArray
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.shutter import readout_fraction, readout_lines, usual_first_row
+
+# Queries whose focal length is within this factor of a lens's are taken with it.
+_SAME_LENS = 1.08
+
+
+@dataclass(frozen=True)
+class Lens:
+    """The lens of a device: focal length by the longer side of the image, k1, k2, p1, p2, ... as OpenCV has them, and
+    the readout time of an image, s."""
+
+    focal: float
+    distortion: tuple[float, ...]
+    readout_s: float
+
+
+def with_lens(camera: Camera, lenses: tuple[Lens, ...]) -> tuple[Camera, float]:
+    """A logged camera with the lens that the map knows for its focal length, and the readout time; the camera as it is,
+    and 0, where there is none."""
+    focal = (camera.fx + camera.fy) / 2 / max(camera.width, camera.height)
+    near = [lens for lens in lenses if 1 / _SAME_LENS < focal / lens.focal < _SAME_LENS]
+    if not near:
+        return camera, 0.0
+    lens = min(near, key=lambda lens: abs(np.log(focal / lens.focal)))
+    return replace(camera, distortion=lens.distortion), lens.readout_s
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.vlad import aggregate, k_means
-from groundwalk.localisation.answers import Answer, Clock, of_another_size, refused, seen_by
 from groundwalk.localisation.feature_kinds import Size
-from groundwalk.localisation.features import unit
+from groundwalk.localisation.frames import with_lens
 from groundwalk.localisation.localiser_settings import HLocSettings
+from groundwalk.localisation.matching import unit
 from groundwalk.localisation.prepared import Prepared, Track, untracked
-from groundwalk.localisation.query import with_lens
+from groundwalk.localisation.results import Clock, QueryResult, of_another_size, refused, seen_by
 from groundwalk.store.choices import Refusal
 
 _WORDS, _SAMPLES = 64, 25_600
@@ -76,9 +76,9 @@ class HLocLocaliser:
         prior: Array | None = None,
         *,
         seed: int = 0,
-    ) -> Answer:
-        """The answer for a grey image (H, W) taken with `camera` as the phone logged it, without covariance. Gravity
-        and a prior aren't used."""
+    ) -> QueryResult:
+        """The answer for a grey image (H, W) taken with `camera` as the phone logged it. Gravity and a prior
+        aren't used."""
         refusal = of_another_size(grey, camera)
         if refusal:
             return refusal
@@ -89,7 +89,7 @@ class HLocLocaliser:
 
     def localise_features(
         self, features: Features, camera: Camera, *, seed: int = 0, clock: Clock | None = None
-    ) -> Answer:
+    ) -> QueryResult:
         """The same of an image's features."""
         clock = clock or Clock()
         camera, _ = with_lens(camera, self.lenses)
@@ -115,7 +115,7 @@ class HLocLocaliser:
         if pose is None or count < needed:
             reason = f"{count} inliers, {needed} needed"
             return refused(Refusal.THIN_EVIDENCE, reason, clock, len(pairs), count, seen)
-        return Answer(pose[0], None, None, "", len(pairs), count, seen, clock.seconds)
+        return QueryResult(pose[0], None, None, "", len(pairs), count, seen, clock.seconds)
 
     def _matches(self, query: Features, size: Size, view: int) -> NDArray[np.int64]:
         """Keypoints of the query and points (M, 2) by matches with an image."""

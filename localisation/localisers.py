@@ -15,8 +15,8 @@ from groundwalk.store.registry import Colour, Entry, Registry, callable_faults, 
 if TYPE_CHECKING:
     from groundwalk.geometry.cameras import Camera
     from groundwalk.geometry.poses import Array
-    from groundwalk.localisation.answers import Answer
     from groundwalk.localisation.prepared import Prepared, Track
+    from groundwalk.localisation.results import QueryResult
 
 
 class Localiser(Protocol):
@@ -39,7 +39,7 @@ class Localiser(Protocol):
         prior: "Array | None" = None,
         *,
         seed: int = 0,
-    ) -> "Answer":
+    ) -> "QueryResult":
         """The answer for a grey image (H, W). camera: as the phone logged it; gravity: unit vector (3,), down, in the
         camera; prior: about where the camera is, map_T_cam (4, 4). What a localiser has no use for it ignores."""
         ...

@@ -60,7 +60,7 @@ def packed(arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, Any]) -> b
     return _HEADER.pack(MAGIC, MAJOR, MINOR, len(everything), _HEADER.size + len(rest), digest) + rest
 
 
-def read_sections(path: Path, *, verify: bool = True) -> Sections:
+def read_sections(path: Path) -> Sections:
     """The arrays of a map file, mapped into memory; UserError where it isn't one, is cut short, damaged or newer."""
     try:
         content = np.memmap(path, np.uint8, "r")
@@ -79,7 +79,7 @@ def read_sections(path: Path, *, verify: bool = True) -> Sections:
         )
     if length != len(content):
         raise UserError("a map is cut short", where=path, expected=f"{length} bytes", found=f"{len(content)} bytes")
-    if verify and hashlib.sha256(content[_HEADER.size :].data).digest() != digest:
+    if hashlib.sha256(content[_HEADER.size :].data).digest() != digest:
         raise UserError("a map is damaged: its content doesn't have its checksum", where=path, do="build it again")
     arrays: dict[str, NDArray[Any]] = {}
     for number in range(count):

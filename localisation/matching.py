@@ -13,6 +13,12 @@ _DEPTHS = 3
 _SAMPLES = 5
 
 
+def unit(descriptors: NDArray[np.generic]) -> NDArray[np.float32]:
+    """Descriptors (..., D) at unit length."""
+    floats = np.asarray(descriptors, np.float32)
+    return np.asarray(floats / np.maximum(np.linalg.norm(floats, axis=-1, keepdims=True), 1e-9), np.float32)
+
+
 def mutual_matches(a: Floats, b: Floats, ratio: float) -> Ints:
     """Rows (M, 2) of unit descriptors (A, D) and (B, D) that are each other's nearest, at a distance below `ratio` of
     those to either one's second nearest (Lowe, IJCV 2004)."""

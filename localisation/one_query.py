@@ -7,19 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import tq_from_pose
-from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.localisers import FileLocaliser
+from groundwalk.localisation.results import QueryResult
 from groundwalk.runtime.queries import Query
 from groundwalk.store.parallel import one_thread
 
 
-def ask(localiser: FileLocaliser, query: Query) -> Answer:
+def ask(localiser: FileLocaliser, query: Query) -> QueryResult:
     """The localiser's answer."""
     with one_thread():
         return localiser.localise(_grey(query.image), query.camera, query.gravity, query.prior)
 
 
-def row_of(answer: Answer) -> dict[str, Any]:
+def row_of(answer: QueryResult) -> dict[str, Any]:
     """An answer as plain values: position, m, and quaternion x, y, z, w of map_T_cam, and its covariance (36 numbers);
     or null, with the refusal and its reason."""
     row: dict[str, Any] = dict.fromkeys(("position_m", "quaternion", "covariance"))

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
-from groundwalk.localisation.compact import Lens
 from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
-from groundwalk.localisation.frames import Views
+from groundwalk.localisation.frames import Lens, Views
 from groundwalk.localisation.localiser_settings import StructureSettings
 from groundwalk.localisation.structure import Matches, Structure, matched_features, matches_of, structure_of
 
@@ -31,6 +30,8 @@ def untracked(items: Iterable[T], text: str, total: int | None = None) -> Iterab
     return items
 
 
+# Training frames that each one is matched with, those that see most of the same.
+_PAIRS_PER_FRAME = 16
 _SAME_LENS = 0.02
 
 
@@ -78,15 +79,15 @@ def prepare(
     scene: str, training: Training, settings: StructureSettings, track: Track = untracked, kind: FeatureKind = SIFT
 ) -> Prepared:
     """The training frames, matched; `track` shows progress over pairs."""
-    return prepared_from(scene, training, settings, match(training, settings, track, kind), kind)
+    return prepared_from(scene, training, settings, match(training, track, kind), kind)
 
 
-def match(training: Training, settings: StructureSettings, track: Track = untracked, kind: FeatureKind = SIFT) -> Ints:
+def match(training: Training, track: Track = untracked, kind: FeatureKind = SIFT) -> Ints:
     """Which of the training frames' features (M, 2) match, numbered over all frames."""
     return matched_features(
         training.views,
         training.features,
-        settings.pairs_per_frame,
+        _PAIRS_PER_FRAME,
         kind.ratio,
         lambda pairs: track(pairs, "matching training frames", len(pairs)),
     )

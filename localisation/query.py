@@ -1,6 +1,6 @@
 """One image against a compact map: its pose with covariance, or a refusal with its reason."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 from groundwalk.features.sift import Features, sift
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, skew
-from groundwalk.localisation.answers import Answer, Clock, of_another_size, refused, seen_by
-from groundwalk.localisation.compact import CompactMap, Lens, bytes_by_section, point_covariances, read_map, write_map
-from groundwalk.localisation.frames import row_times
+from groundwalk.localisation.compact import CompactMap, bytes_by_section, point_covariances, read_map, write_map
+from groundwalk.localisation.frames import row_times, with_lens
 from groundwalk.localisation.pose import NO_VERTICAL, Fit, Observed, Priors, ransac, refine, upright_ransac
+from groundwalk.localisation.results import Clock, QueryResult, of_another_size, refused, seen_by
 from groundwalk.store.choices import Refusal
 
 Ints = NDArray[np.int64]
@@ -30,7 +30,6 @@ _SURE_M = 0.02
 _GUIDED_PX, _MIN_SIMILARITY = 5.0, 0.6
 _INLIER_SIGMAS, _MIN_INLIER_PX, _MAX_INLIER_PX = 4.0, 1.5, 3.0
 _MIN_FEATURES, _MIN_MATCHES, _MIN_POSE = 30, 8, 6
-_SAME_LENS = 1.08
 # Iterations of refinements whose inliers are still sought, and of the last.
 _ROUGHLY, _WELL = 3, 8
 
@@ -78,7 +77,7 @@ class MapLocaliser:
         prior: Array | None = None,
         *,
         seed: int = 0,
-    ) -> Answer:
+    ) -> QueryResult:
         """The answer for a grey image (H, W) taken with `camera`, as the phone logged it.
 
         gravity: unit vector (3,), down, in the camera, or None.
@@ -88,7 +87,7 @@ class MapLocaliser:
         if refusal:
             return refusal
         clock = Clock()
-        best: Answer | None = None
+        best: QueryResult | None = None
         # Near a prior a smaller image is enough for most; where the answer isn't sure, the whole one is asked without
         # the prior, which may be what is wrong.
         for attempt in (_NEAR_PRIOR, _WHOLE) if prior is not None else (_WHOLE,):
@@ -118,7 +117,7 @@ class MapLocaliser:
         seed: int = 0,
         clock: Clock | None = None,
         hidden: NDArray[np.bool_] | None = None,
-    ) -> Answer:
+    ) -> QueryResult:
         """The same of an image's features; points that are `hidden` (P,) are taken as not there."""
         clock = clock or Clock()
         if self.map.priors.gravity_sd >= NO_VERTICAL:
@@ -136,7 +135,7 @@ class MapLocaliser:
         with clock.part("matching"):
             product = query @ self.map.descriptors[rows].T
             matches = _ratio_matches(product, _RATIO)
-            asked = _Asked(
+            asked = _Query(
                 features.px.astype(float),
                 camera.unproject(features.px.astype(float)),
                 self.map.xyz[rows],
@@ -166,7 +165,7 @@ class MapLocaliser:
             reason = f"{agreeing} inliers, {limit} needed"
             return refused(Refusal.THIN_EVIDENCE, reason, clock, len(matches), agreeing, seen)
         covariance = self._calibrated(fit.covariance)
-        return Answer(fit.map_T_cam, covariance, None, "", len(matches), agreeing, seen, clock.seconds)
+        return QueryResult(fit.map_T_cam, covariance, None, "", len(matches), agreeing, seen, clock.seconds)
 
     def _views_by_votes(self, query: Floats, hidden: NDArray[np.bool_] | None) -> Ints:
         """Training frames that saw most of the points that look like the query's features."""
@@ -213,7 +212,7 @@ class MapLocaliser:
         bounds = self.map.seen_bounds
         return np.unique(np.concatenate([self.map.seen[bounds[v] : bounds[v + 1]] for v in views.tolist()]))
 
-    def _refined(self, map_T_cam: Array, matches: Ints, product: Floats, asked: "_Asked") -> tuple[Fit | None, Ints]:
+    def _refined(self, map_T_cam: Array, matches: Ints, product: Floats, asked: "_Query") -> tuple[Fit | None, Ints]:
         """The refined pose and its inliers (keypoint, point): first of RANSAC's matches, then of all points that it
         predicts near a keypoint that looks alike."""
         priors = self.map.priors
@@ -237,7 +236,7 @@ class MapLocaliser:
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _Query:
     """What is known of a query: K keypoints px (K, 2) and ideal (K, 2), candidate points xyz (C, 3) with covariances
     (C, 3, 3), camera and gravity."""
 
@@ -264,18 +263,7 @@ class _Asked:
         return refine(map_T_cam, seen, self.camera, self.readout_s, priors, self.gravity, iterations)
 
 
-def with_lens(camera: Camera, lenses: tuple[Lens, ...]) -> tuple[Camera, float]:
-    """A logged camera with the lens that the map knows for its focal length, and the readout time; the camera as it is,
-    and 0, where there is none."""
-    focal = (camera.fx + camera.fy) / 2 / max(camera.width, camera.height)
-    near = [lens for lens in lenses if 1 / _SAME_LENS < focal / lens.focal < _SAME_LENS]
-    if not near:
-        return camera, 0.0
-    lens = min(near, key=lambda lens: abs(np.log(focal / lens.focal)))
-    return replace(camera, distortion=lens.distortion), lens.readout_s
-
-
-def _guided(fit: Fit, asked: _Asked, product: Floats) -> Ints:
+def _guided(fit: Fit, asked: _Query, product: Floats) -> Ints:
     """Keypoints and points (M, 2), one to one, where a point is predicted near a keypoint that looks like it."""
     predicted = _predicted(fit, asked.xyz, asked.camera, asked.readout_s)
     inside = np.flatnonzero(np.isfinite(predicted).all(axis=1))

@@ -11,8 +11,8 @@ import rerun.blueprint as rrb
 
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
-from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.localisers import LOCALISERS
+from groundwalk.localisation.results import QueryResult
 from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED
 from groundwalk.store.images import read_image
 from groundwalk.store.recording import UP_AXIS, log_camera, log_path, set_time
@@ -53,7 +53,7 @@ def record(
     queries: pd.DataFrame,
     truth: pd.DataFrame,
     points: dict[str, Array],
-    answers: dict[str, list[Answer]],
+    answers: dict[str, list[QueryResult]],
     image_path: Callable[[str], Path],
 ) -> None:
     """Log everything; row i of `queries` has the answers[model][i]. Queries beyond so many are left out evenly."""
@@ -82,7 +82,7 @@ def record(
 
 
 def _log_answer(
-    stream: rr.RecordingStream, model: str, answer: Answer, xyz: Array, frame: "pd.Series", factor: float
+    stream: rr.RecordingStream, model: str, answer: QueryResult, xyz: Array, frame: "pd.Series", factor: float
 ) -> None:
     """An answer: its camera, the rays to its points, its keypoints, and what it says."""
     colour, seen = LOCALISERS[model].colour, answer.seen

@@ -32,7 +32,7 @@ NOTHING_SEEN = Seen(np.empty((0, 2)), np.empty(0, np.int64), np.empty(0, bool))
 
 
 @dataclass(frozen=True)
-class Answer:
+class QueryResult:
     """A pose map_T_cam (4, 4) with its covariance (6, 6) of (rotation, position) in the map's axes, rad and m, where
     the localiser gives one; or neither, with the `refusal` and its `reason`, the figures.
 
@@ -65,12 +65,12 @@ class Clock:
 
 def refused(
     refusal: Refusal, reason: str, clock: Clock, candidates: int = 0, inliers: int = 0, seen: Seen = NOTHING_SEEN
-) -> Answer:
+) -> QueryResult:
     """An answer without a pose."""
-    return Answer(None, None, refusal, reason, candidates, inliers, seen, clock.seconds)
+    return QueryResult(None, None, refusal, reason, candidates, inliers, seen, clock.seconds)
 
 
-def of_another_size(grey: NDArray[np.uint8], camera: Camera) -> Answer | None:
+def of_another_size(grey: NDArray[np.uint8], camera: Camera) -> QueryResult | None:
     """The refusal of an image (H, W) whose intrinsics are for another size or orientation; None where they fit."""
     if grey.shape[:2] == (camera.height, camera.width):
         return None
@@ -86,7 +86,7 @@ def seen_by(px: Array, points: Ints, matches: Ints, inliers: Ints) -> Seen:
     return Seen(px[both[:, 0]], points[both[:, 1]], np.arange(len(both)) < len(inliers))
 
 
-def write_answer(path: Path, answer: Answer, cost_s: tuple[float, float]) -> None:
+def write_result(path: Path, answer: QueryResult, cost_s: tuple[float, float]) -> None:
     """Write an answer, and its seconds on the clock and of all cores, as a checkpoint."""
     evidence = {name: getattr(answer, name) for name in ("refusal", "reason", "candidates", "inliers", "seconds")}
     with written_aside(path) as partial, partial.open("wb") as file:
@@ -102,7 +102,7 @@ def write_answer(path: Path, answer: Answer, cost_s: tuple[float, float]) -> Non
         )
 
 
-def read_answer(path: Path) -> tuple[Answer, tuple[float, float]]:
+def read_result(path: Path) -> tuple[QueryResult, tuple[float, float]]:
     """The answer and its seconds of a checkpoint."""
     with np.load(path) as kept:
         pose, covariance = (kept[name] if kept[name].size else None for name in ("map_T_cam", "covariance"))
@@ -110,5 +110,5 @@ def read_answer(path: Path) -> tuple[Answer, tuple[float, float]]:
         wall_s, cpu_s = kept["cost_s"].tolist()
         evidence = json.loads(str(kept["evidence"]))
         refusal = evidence.pop("refusal")
-        answer = Answer(pose, covariance, refusal and Refusal(refusal), **evidence, seen=seen)
+        answer = QueryResult(pose, covariance, refusal and Refusal(refusal), **evidence, seen=seen)
         return answer, (wall_s, cpu_s)

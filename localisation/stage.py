@@ -12,15 +12,14 @@ import pandas as pd
 
 from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
-from groundwalk.localisation.answers import Answer, read_answer, write_answer
-from groundwalk.localisation.build import MIN_POINTS
 from groundwalk.localisation.feature_kinds import FeatureKind
-from groundwalk.localisation.features import keep_features, load_features
 from groundwalk.localisation.inputs import read_inputs, training_of
 from groundwalk.localisation.localisers import LOCALISERS, Localiser
 from groundwalk.localisation.prepared import Prepared, match, prepared_from
 from groundwalk.localisation.record import blueprint, record
+from groundwalk.localisation.results import QueryResult, read_result, write_result
 from groundwalk.localisation.settings import LocaliseSettings
+from groundwalk.localisation.structure import MIN_POINTS
 from groundwalk.scoring.errors import position_error, rotation_error_deg, sure_enough
 from groundwalk.scoring.scores import score
 from groundwalk.store import StageRun, UserError
@@ -40,41 +39,44 @@ _WRONG_M, _WRONG_DEG = 1.0, 5.0
 
 
 @dataclass(frozen=True)
-class Result:
-    """A localiser's row of `models`, its rows of `storage`, and its answers, one a query."""
+class LocaliserRun:
+    """A localiser's row of `models`, its rows of `storage`, its points (P, 3), and what it says of each query (Q) at
+    which cost (Q, 2), s: on the clock and of all cores."""
 
     model: dict[str, Any]
     storage: dict[str, int]
     xyz: Array
-    answers: list[Answer]
+    results: list[QueryResult]
     cost_s: Array
 
 
 def run(r: StageRun[LocaliseSettings]) -> None:
-    with one_thread():
-        localise(r)
-
-
-def localise(r: StageRun[LocaliseSettings]) -> None:
-    """Build the localisers, and write what they say of each query."""
     r.warn_of_scale()
     queries = r.dataset_frames()
     queries = queries[queries["split"].isin(r.settings.splits)].sort_values(["session_id", "t_ns"])
     queries = queries.reset_index(drop=True)
-    results: dict[str, Result] = {}
-    faults: list[PluginError] = []
-    usable = [name for name in r.settings.models if name in LOCALISERS]
+    runs: dict[str, LocaliserRun] = {}
+    faults = [*LOCALISERS.unusable(r.settings.models)]
     prepared: dict[FeatureKind, Prepared] = {}
-    for name in usable:
-        kind = LOCALISERS[name].features
-        try:
-            with LOCALISERS.guard(name):
-                prepared[kind] = prepared.get(kind) or prepare(r, kind)
-                results[name] = localised(r, name, prepared[kind], queries)
-        except PluginError as fault:
-            faults.append(fault)
-    leave_out(r, faults, len(results))
-    write_results(r, queries, results)
+    # Matrix products are small: on two threads they take more time of both.
+    with one_thread():
+        for name in (name for name in r.settings.models if name in LOCALISERS):
+            kind = LOCALISERS[name].features
+            try:
+                with LOCALISERS.guard(name):
+                    prepared[kind] = prepared.get(kind) or prepare(r, kind)
+                    runs[name] = run_localiser(r, name, prepared[kind], queries)
+            except PluginError as fault:
+                faults.append(fault)
+        r.leave_out(faults)
+        if r.settings.models and not runs:
+            raise faults[0]
+        write_tables(r, queries, runs)
+        with r.step("recording"), r.recording(blueprint(list(runs))) as stream:
+            results = {name: each.results for name, each in runs.items()}
+            points = {name: each.xyz for name, each in runs.items()}
+            truth = r.read("align", "ground_truth")
+            record(stream, queries, truth, points, results, lambda image: r.image_path(str(image)))
 
 
 def prepare(r: StageRun[LocaliseSettings], kind: FeatureKind) -> Prepared:
@@ -94,7 +96,7 @@ def prepare(r: StageRun[LocaliseSettings], kind: FeatureKind) -> Prepared:
     file = r.scratch / f"matches-{kind.id}.npy"
     with r.step("match"):
         if not file.exists():
-            pairs = match(training, r.settings, r.track, kind)
+            pairs = match(training, r.track, kind)
             with written_aside(file) as partial, partial.open("wb") as begun:
                 np.save(begun, pairs)
         pairs = np.load(file)
@@ -122,17 +124,19 @@ def features_of(r: StageRun[LocaliseSettings], images: "pd.Series[str]", kind: F
         file = folder / f"{item[0]}.npz"
         if not file.exists():
             grey_image = read_grey_image(r.image_path(item[1]))
-            keep_features(file, kind.extract(grey_image, r.settings.max_features, r.settings.max_side))
-        return load_features(file)
+            found = kind.extract(grey_image, r.settings.max_features, r.settings.max_side)
+            with written_aside(file) as partial, partial.open("wb") as begun:
+                np.savez(begun, px=found.px, size_px=found.size_px, descriptors=found.descriptors)
+        with np.load(file) as found:
+            return Features(found["px"], found["size_px"], found["descriptors"])
 
     with r.step("features"):
         return list(in_parallel(kept, r.track(list(enumerate(images)), "reading training frames", len(images))))
 
 
-def localised(r: StageRun[LocaliseSettings], name: str, prepared: Prepared, queries: pd.DataFrame) -> Result:
+def run_localiser(r: StageRun[LocaliseSettings], name: str, prepared: Prepared, queries: pd.DataFrame) -> LocaliserRun:
     """A localiser, built, and what it says of each query."""
-    entry = LOCALISERS[name]
-    settings = r.settings.localisers[name]
+    entry, settings = LOCALISERS[name], r.settings.localisers[name]
     file, path = "" if entry.file is None else f"{name.lower()}{entry.file.suffix}", None
     with r.step(f"build {name}"):
         began = time.process_time()
@@ -144,10 +148,10 @@ def localised(r: StageRun[LocaliseSettings], name: str, prepared: Prepared, quer
                 entry.file.write(path, entry.build(prepared, settings, r.track))
             localiser = entry.file.read(path)
         build_s = time.process_time() - began
-    answers, cost_s = answered(r, name, localiser, queries)
+    results, cost_s = ask_all(r, name, localiser, queries)
     storage = localiser.bytes_by_part()
     medians = np.median(1000 * cost_s, axis=0).tolist() if len(cost_s) else [None, None]
-    shared = {key: getattr(r.settings, key) for key in ("max_features", "max_side", "pairs_per_frame")}
+    shared = {key: getattr(r.settings, key) for key in ("max_features", "max_side")}
     model = {
         "model": name,
         "label": entry.label,
@@ -163,18 +167,19 @@ def localised(r: StageRun[LocaliseSettings], name: str, prepared: Prepared, quer
         "cpu_ms": medians[1],
         "build_cpu_seconds": build_s,
     }
-    report_accuracy(r, name, queries, answers)
-    return Result(model, storage, localiser.xyz, answers, cost_s)
+    report_accuracy(r, name, queries, results)
+    return LocaliserRun(model, storage, localiser.xyz, results, cost_s)
 
 
-def answered(
+def ask_all(
     r: StageRun[LocaliseSettings], name: str, localiser: Localiser, queries: pd.DataFrame
-) -> tuple[list[Answer], Array]:
-    """What a localiser says of each query, and what that cost (Q, 2), s: on the clock and of all cores."""
+) -> tuple[list[QueryResult], Array]:
+    """What a localiser says of each query, and what that cost (Q, 2), s: on the clock and of all cores. Results of a
+    run before are read."""
     folder = r.scratch / name
     folder.mkdir(exist_ok=True)
     gravity = queries[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
-    answers: list[Answer] = []
+    results: list[QueryResult] = []
     costs: list[tuple[float, float]] = []
     with r.step(f"localise {name}"):
         for row in r.track(range(len(queries)), f"{name}: localising", len(queries)):
@@ -183,23 +188,24 @@ def answered(
                 down = gravity[row] if np.isfinite(gravity[row]).all() else None
                 image, camera = read_grey_image(r.image_path(queries["image"].iloc[row])), camera_of(queries.iloc[row])
                 wall, cpu = time.perf_counter(), time.process_time()
-                answer = localiser.localise(image, camera, down, seed=r.seed)
-                cost_s = time.perf_counter() - wall, time.process_time() - cpu
-                write_answer(file, answer, cost_s)
-            answer, cost = read_answer(file)
-            answers.append(answer)
+                result = localiser.localise(image, camera, down, seed=r.seed)
+                write_result(file, result, (time.perf_counter() - wall, time.process_time() - cpu))
+            result, cost = read_result(file)
+            results.append(result)
             costs.append(cost)
-    return answers, np.array(costs).reshape(-1, 2)
+    return results, np.array(costs).reshape(-1, 2)
 
 
-def report_accuracy(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFrame, answers: list[Answer]) -> None:
+def report_accuracy(
+    r: StageRun[LocaliseSettings], name: str, queries: pd.DataFrame, results: Sequence[QueryResult]
+) -> None:
     """Keep, as figures, how many test frames were answered and how well; a refused frame is infinitely wrong."""
     truth = r.read("align", "ground_truth").set_index("frame_id").reindex(queries["frame_id"])
     true = poses_of(truth, "map_cam")
     tested = np.flatnonzero((queries["split"] == "test").to_numpy() & np.isfinite(true).all(axis=(1, 2)))
     if not len(tested):
         return
-    position, rotation = errors_of([answers[row] for row in tested], true[tested])
+    position, rotation = errors_of([results[row] for row in tested.tolist()], true[tested])
     sure = sure_enough(truth["quality"].to_numpy(object)[tested])
     given, unit, measured = np.isfinite(position), r.map_unit(), score(position, rotation, sure)
     median = measured.median_m
@@ -224,62 +230,44 @@ def report_accuracy(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFr
     )
 
 
-def errors_of(answers: Sequence[Answer], truth: Array) -> tuple[Array, Array]:
-    """Position errors, m, and rotation errors, deg, of answers to frames with true poses (N, 4, 4); infinite where
+def errors_of(results: Sequence[QueryResult], truth: Array) -> tuple[Array, Array]:
+    """Position errors, m, and rotation errors, deg, of results for frames with true poses (N, 4, 4); infinite where
     refused."""
-    position, rotation = np.full(len(answers), np.inf), np.full(len(answers), np.inf)
-    for row, answer in enumerate(answers):
-        if answer.map_T_cam is not None:
-            position[row] = position_error(answer.map_T_cam, truth[row])
-            rotation[row] = rotation_error_deg(answer.map_T_cam, truth[row])
+    position, rotation = np.full(len(results), np.inf), np.full(len(results), np.inf)
+    for row, result in enumerate(results):
+        if result.map_T_cam is not None:
+            position[row] = position_error(result.map_T_cam, truth[row])
+            rotation[row] = rotation_error_deg(result.map_T_cam, truth[row])
     return position, rotation
 
 
-def leave_out(r: StageRun[LocaliseSettings], faults: list[PluginError], results: int) -> None:
-    """Name each plug-in that took no part, also in the manifest; UserError where no localiser is left."""
-    faults = [*LOCALISERS.unusable(r.settings.models), *faults]
-    r.leave_out(faults)
-    if r.settings.models and not results:
-        raise faults[0]
+def write_tables(r: StageRun[LocaliseSettings], queries: pd.DataFrame, runs: dict[str, LocaliserRun]) -> None:
+    """The stage's tables, of any number of localisers."""
+    rows: dict[str, list[pd.DataFrame]] = {"predictions": [], "models": [], "storage": []}
+    for name, each in runs.items():
+        keys = queries[["frame_id", "session_id", "split", "t_ns"]]
+        predictions = predictions_of(each).assign(model=name, scene=r.scene.name, picked_scene=r.scene.name)
+        rows["predictions"].append(pd.concat([keys, predictions], axis=1))
+        rows["models"].append(pd.DataFrame([each.model]))
+        parts, bytes_ = list(each.storage), list(each.storage.values())
+        rows["storage"].append(pd.DataFrame({"model": name, "part": parts, "bytes": bytes_}))
+    for table, found in rows.items():
+        columns = schema("localise", table).column_names
+        found = [each for each in found if len(each)]
+        r.write(table, pd.concat(found, ignore_index=True)[columns] if found else pd.DataFrame(columns=columns))
 
 
-def write_results(r: StageRun[LocaliseSettings], queries: pd.DataFrame, results: dict[str, Result]) -> None:
-    for name, rows in (
-        ("predictions", [prediction_rows(r, name, queries, result) for name, result in results.items()]),
-        ("models", [pd.DataFrame([result.model]) for result in results.values()]),
-        (
-            "storage",
-            [
-                pd.DataFrame({"model": name, "part": list(result.storage), "bytes": list(result.storage.values())})
-                for name, result in results.items()
-            ],
-        ),
-    ):
-        columns = schema("localise", name).column_names
-        filled = [part for part in rows if len(part)]
-        r.write(name, pd.concat(filled, ignore_index=True)[columns] if filled else pd.DataFrame(columns=columns))
-    truth = r.read("align", "ground_truth")
-    with r.step("recording"), r.recording(blueprint(list(results))) as stream:
-        answers = {name: result.answers for name, result in results.items()}
-        points = {name: result.xyz for name, result in results.items()}
-        record(stream, queries, truth, points, answers, lambda image: r.image_path(str(image)))
-
-
-def prediction_rows(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFrame, result: Result) -> pd.DataFrame:
-    """A localiser's rows of `predictions`."""
-    none = np.full((4, 4), np.nan)
-    poses = np.array([none if a.map_T_cam is None else a.map_T_cam for a in result.answers]).reshape(-1, 4, 4)
-    answers = pd.DataFrame(
-        {
-            "covariance": [None if a.covariance is None else a.covariance.ravel().tolist() for a in result.answers],
-            "inference_ms": 1000 * result.cost_s[:, 0],
-            "cpu_ms": 1000 * result.cost_s[:, 1],
-            "inliers": [a.inliers for a in result.answers],
-            "candidates": [a.candidates for a in result.answers],
-            "refusal": [a.refusal for a in result.answers],
-            "reason": [a.reason or None for a in result.answers],
-        }
-    )
-    keys = queries[["frame_id", "session_id", "split", "t_ns"]]
-    table = pd.concat([keys, pose_frame("map_cam", poses), answers], axis=1)
-    return table.assign(model=name, scene=r.scene.name, picked_scene=r.scene.name)
+def predictions_of(run: LocaliserRun) -> pd.DataFrame:
+    """What a localiser says of each query, as columns of `predictions`."""
+    results, none = run.results, np.full((4, 4), np.nan)
+    poses = np.array([none if a.map_T_cam is None else a.map_T_cam for a in results]).reshape(-1, 4, 4)
+    columns = {
+        "covariance": [None if a.covariance is None else a.covariance.ravel().tolist() for a in results],
+        "inference_ms": 1000 * run.cost_s[:, 0],
+        "cpu_ms": 1000 * run.cost_s[:, 1],
+        "inliers": [a.inliers for a in results],
+        "candidates": [a.candidates for a in results],
+        "refusal": [a.refusal for a in results],
+        "reason": [a.reason or None for a in results],
+    }
+    return pd.concat([pose_frame("map_cam", poses), pd.DataFrame(columns)], axis=1)

@@ -9,14 +9,15 @@ from numpy.typing import NDArray
 
 from groundwalk.features.sift import Features
 from groundwalk.localisation.feature_kinds import SIFT_RATIO
-from groundwalk.localisation.features import unit
 from groundwalk.localisation.frames import Views, rays
-from groundwalk.localisation.matching import covisible_pairs, mutual_matches
+from groundwalk.localisation.matching import covisible_pairs, mutual_matches, unit
 from groundwalk.localisation.tracks import Points, Rays, epipolar_error_px, tracks, triangulate
 from groundwalk.store.parallel import in_parallel
 
 Ints = NDArray[np.int64]
 
+# Fewer have no principal components and no words.
+MIN_POINTS = 100
 MAX_EPIPOLAR_PX = 2.5
 MAX_PX = 2.0
 MIN_ANGLE_DEG = 1.0
@@ -25,14 +26,13 @@ _LARGEST_REACH_M = 15.0
 
 @dataclass(frozen=True)
 class Structure:
-    """The points of N frames, the frames' features one after the other: of each its frame (F,), px (F, 2), diameter
-    (F,), px, and descriptor (F, D)."""
+    """The points of N frames, the frames' features one after the other: of each its frame (F,), px (F, 2), and
+    descriptor (F, D)."""
 
     views: Views
     points: Points
     view: Ints
     px: NDArray[np.float32]
-    size_px: NDArray[np.float32]
     descriptors: NDArray[Any]
 
 
@@ -92,7 +92,6 @@ def structure_of(views: Views, matches: Matches, used: NDArray[np.bool_] | None 
         points,
         view,
         np.concatenate([f.px for f in whole]),
-        np.concatenate([f.size_px for f in whole]),
         np.concatenate([f.descriptors for f in whole]),
     )
 

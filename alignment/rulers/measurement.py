@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler, Ruler
+from groundwalk.alignment.rulers.settings import DistanceRuler, Ruler
 from groundwalk.alignment.sfm_tables import covariances
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array
@@ -98,8 +98,10 @@ def measure_rulers(
         xy, focal_px = undistorted(frames, ruler.row, ruler.xy_px)
         line = readout_lines(frames["first_row"], frames["width"], frames["height"])[ruler.row]
         tau = images["readout_s"].to_numpy(float)[ruler.row] * readout_fraction(line, ruler.xy_px)
-        motion = (images[[f"{name}_{a}" for a in "xyz"]].to_numpy(float)[ruler.row] for name in ("angular", "velocity"))
-        cam_T_row = rows_in_camera(*motion, tau)
+        angular, velocity = (
+            images[[f"{name}_{axis}" for axis in "xyz"]].to_numpy(float)[ruler.row] for name in ("angular", "velocity")
+        )
+        cam_T_row = rows_in_camera(angular, velocity, tau)
         observations = Observations(ruler.corner, ruler.row, xy, focal_px, cam_T_row)
         for model in models:
             in_model = registered[ruler.row] & (model_id[ruler.row] == model) & np.isfinite(xy).all(axis=1)
@@ -198,12 +200,3 @@ def _notes(measurement: RulerMeasurement, fit: RulerFit, frames: pd.DataFrame) -
         f"{1 - inliers:.0%} of its observations in {count} frames of {session} are outliers: was it moved there?"
         for session, count, inliers in zip(elsewhere.index, elsewhere["frames"], elsewhere["inliers"], strict=True)
     )
-
-
-def kind_of(ruler: Ruler) -> str:
-    """What the ruler is, in a few words."""
-    if isinstance(ruler, CharucoRuler):
-        return f"ChArUco board, {ruler.squares_x} x {ruler.squares_y} squares of {ruler.square_mm:g} mm"
-    if isinstance(ruler, AprilTagRuler):
-        return f"AprilTags of {ruler.tag_mm:g} mm"
-    return f"distance of {ruler.length_m:g} m"

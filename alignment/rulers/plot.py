@@ -1,4 +1,4 @@
-"""rulers.png: each ruler's corner residuals in its plane, and where it is detected and reprojected in an image."""
+"""rulers.png: where each ruler is detected and reprojected in an image."""
 
 import textwrap
 from collections.abc import Callable, Sequence
@@ -9,9 +9,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from groundwalk.alignment.rulers.measurement import RulerMeasurement, kind_of
+from groundwalk.alignment.rulers.measurement import RulerMeasurement
 from groundwalk.alignment.rulers.scale_check import RulerCheck, describe
-from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse, transform
 from groundwalk.geometry.rulers import RulerFit
 from groundwalk.store.choices import RulerKind, RulerPart
@@ -21,8 +20,6 @@ from groundwalk.store.tables import camera_of, poses_of
 _MAX_RULERS = 6
 _INCHES = 4.5
 _TITLE_WIDTH = 110
-# The largest residual is drawn this long, as a fraction of the ruler's extent.
-_MAX_ARROW = 0.08
 _MARGIN = 0.25
 _DETECTED, _REPROJECTED = "tab:blue", "tab:red"
 
@@ -34,53 +31,20 @@ def draw_rulers(
     images: pd.DataFrame,
     image_path: Callable[[str], Path],
 ) -> None:
-    """One row a ruler: residuals of triangulated corners in its plane, enlarged; the image that sees most corners."""
+    """One row a ruler: the image that sees most of its corners."""
     rows = min(len(checks), _MAX_RULERS)
-    figure = Figure(figsize=(3 * _INCHES, _INCHES * rows + 0.4), layout="constrained")
-    axes = figure.subplots(rows, 2, squeeze=False, width_ratios=[1.2, 1])
+    figure = Figure(figsize=(2 * _INCHES, _INCHES * rows + 0.4), layout="constrained")
+    axes = figure.subplots(rows, 1, squeeze=False)
     poses = poses_of(images, "sfm_cam")
-    for (plane, picture), check in zip(axes, checks[:rows], strict=True):
-        plane.set_title(textwrap.fill(describe(check), _TITLE_WIDTH), fontsize=7, loc="left", wrap=True)
-        if not check.measurement.fits:
-            plane.axis("off")
+    for picture, check in zip(axes[:, 0], checks[:rows], strict=True):
+        if check.measurement.fits:
+            _draw_image(picture, check.measurement, check.measurement.fits[RulerPart.ALL], frames, poses, image_path)
+        else:
             picture.axis("off")
-            continue
-        fit = check.measurement.fits[RulerPart.ALL]
-        _draw_residuals(plane, check.measurement, fit)
-        _draw_image(picture, check.measurement, fit, frames, poses, image_path)
+        picture.set_title(textwrap.fill(describe(check), _TITLE_WIDTH), fontsize=7, loc="left", wrap=True)
     more = f"; {len(checks) - rows} more without a plot" if len(checks) > rows else ""
     figure.suptitle(f"Rulers{more}", fontsize=10)
     figure.savefig(path, dpi=100)
-
-
-def _draw_residuals(axes: Axes, measurement: RulerMeasurement, fit: RulerFit) -> None:
-    """Corners of all parts, each part in its own plane, side by side; arrows show the residual within it."""
-    corners = measurement.detections.corners
-    has_fit = np.isfinite(fit.xyz).all(axis=1)
-    at, arrows, out_mm = [], [], []
-    offset = 0.0
-    for part in np.unique(corners.part[has_fit]):
-        rows = has_fit & (corners.part == part)
-        nominal_mm = 1000 * corners.xyz_m[rows]
-        turned = fit_sim3(nominal_mm, fit.fitted[rows], line_ok=True)
-        residual_mm = turned.points(fit.xyz[rows]) - nominal_mm
-        at.append(nominal_mm[:, :2] + [offset, 0.0])
-        arrows.append(residual_mm[:, :2])
-        out_mm.append(residual_mm[:, 2])
-        offset += 1.5 * float(np.ptp(nominal_mm[:, 0]))
-    xy, uv, out = np.concatenate(at), np.concatenate(arrows), np.concatenate(out_mm)
-    largest = max(float(np.linalg.norm(uv, axis=1).max()), 1e-6)
-    gain = _MAX_ARROW * float(np.ptp(xy, axis=0).max()) / largest
-    bound = max(float(np.abs(out).max()), 1e-6)
-    dots = axes.scatter(xy[:, 0], xy[:, 1], c=out, cmap="coolwarm", vmin=-bound, vmax=bound, s=14)
-    axes.quiver(*xy.T, *(gain * uv).T, angles="xy", scale_units="xy", scale=1, width=0.003)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.invert_yaxis()
-    axes.set_xlabel(f"mm on {kind_of(measurement.ruler)}; longest arrow {largest:.2f} mm", fontsize=7)
-    axes.tick_params(labelsize=7)
-    bar = axes.figure.colorbar(dots, ax=axes, shrink=0.7)
-    bar.set_label("out of plane, mm", fontsize=7)
-    bar.ax.tick_params(labelsize=7)
 
 
 def _draw_image(
@@ -118,6 +82,6 @@ def _draw_image(
     margin = _MARGIN * max(float((high - low).max()), 40.0)
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(high[1] + margin, low[1] - margin)
-    axes.set_title(f"{frames['frame_id'].iloc[row]}", fontsize=7)
+    axes.set_xlabel(f"{frames['frame_id'].iloc[row]}", fontsize=7)
     axes.legend(fontsize=7)
     axes.tick_params(labelsize=7)

@@ -345,32 +345,6 @@ def check_against_truth(pair: TruthPair) -> TruthCheck:
     )
 
 
-def closures(walk: TagWalk) -> Array:
-    """What a walk is off when it's back at a tag, for all pairs of visits (C, 3): path between (m), horizontal and
-    vertical distance (m)."""
-    rows = []
-    for tag in np.unique(walk.tag):
-        at = np.flatnonzero(walk.tag == tag)
-        for k, i in enumerate(at):
-            for j in at[k + 1 :]:
-                off = walk.position[j] - walk.position[i]
-                rows.append((walk.along_m[j] - walk.along_m[i], np.hypot(off[0], off[2]), abs(off[1])))
-    return np.array(rows, dtype=float).reshape(-1, 3)
-
-
-def heading_changes(walk: TagWalk) -> Array:
-    """How much the heading of a segment walked again has changed (C, 2): path between the two (m), change (deg)."""
-    s = segments([walk])
-    heading = np.degrees(np.arctan2(s.vector[:, 0], s.vector[:, 2]))
-    rows = []
-    for pair in np.unique(s.pair):
-        at = np.flatnonzero(s.pair == pair)
-        for k, i in enumerate(at):
-            for j in at[k + 1 :]:
-                rows.append((s.along_m[j] - s.along_m[i], abs(_wrapped(heading[j] - heading[i]))))
-    return np.array(rows, dtype=float).reshape(-1, 2)
-
-
 def _first_seen(walk: TagWalk) -> Array:
     """Horizontal position (V, 2) at which the walk saw each visit's tag first, from their mean."""
     first = np.array([np.flatnonzero(walk.tag == tag)[0] for tag in walk.tag])

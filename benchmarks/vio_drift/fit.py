@@ -22,9 +22,8 @@ from benchmarks.vio_drift.estimators import (
     fit_yaw_drift,
     rate,
 )
-from benchmarks.vio_drift.plots import write_plots
 from benchmarks.vio_drift.recordings import Recordings, read_recordings
-from groundwalk.simulation.vio import FIT_FILE, VioModel, read_model
+from groundwalk.simulation.vio import FIT_FILE, VioModel
 from groundwalk.store.cli import new_app
 
 RPE_1M_M = 0.02
@@ -143,17 +142,12 @@ app = new_app("Measure the drift of phone odometry on real recordings and write 
 def main(
     trajectories: Annotated[Path, typer.Option(help="Folder of recordings (docs/explanation/vio-drift.md).")],
     out: Annotated[Path, typer.Option(help="TOML file to write.")] = FIT_FILE,
-    plots: Annotated[Path | None, typer.Option(help="Folder for the pictures of drift.")] = None,
 ) -> None:
     """Fit, print a table and write the TOML file."""
     recordings = read_recordings(trajectories)
     result = fit(recordings)
     _show(result, Console(width=150))
     out.write_text(to_toml(result), encoding="utf-8")
-    if plots is not None:
-        along, up = (e.best for e in result.tag_m)
-        walks = [log.walk for log in recordings.tag_logs]
-        write_plots(walks, read_model(out), np.array([along, up, along]), plots)
 
 
 if __name__ == "__main__":

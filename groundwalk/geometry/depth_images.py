@@ -1,4 +1,4 @@
-"""Depth images: sampled where a camera saw points, turned to points, and compared with other depths."""
+"""Depth images: sampled where a camera saw points, and compared with other depths."""
 
 from dataclasses import dataclass
 
@@ -61,13 +61,3 @@ def ratio_statistics(ratio: Array, cluster: NDArray[np.int64], rng: np.random.Ge
         draws = rng.integers(0, len(members), (_RESAMPLINGS, len(members)))
         se = float(np.std([np.median(np.concatenate([members[i] for i in draw])) for draw in draws]))
     return RatioStatistics(median, float(np.median(np.abs(ratio - median))), se)
-
-
-def pixel_rays(shape: tuple[int, int], step: int) -> tuple[NDArray[np.int64], Array]:
-    """Every `step`-th pixel of a depth image of `shape` (H, W): its (row, column) (N, 2), and its centre as a
-    fraction of the image's width and height (N, 2)."""
-    rows, columns = np.meshgrid(
-        np.arange(step // 2, shape[0], step), np.arange(step // 2, shape[1], step), indexing="ij"
-    )
-    pixels = np.stack([rows.ravel(), columns.ravel()], axis=1).astype(np.int64)
-    return pixels, (pixels[:, ::-1] + 0.5) / [shape[1], shape[0]]

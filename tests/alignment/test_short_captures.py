@@ -88,10 +88,3 @@ def test_rotations_are_compared_after_a_fit_of_rotations_even_on_a_straight_path
     moved = type(segment)(**{**vars(segment), "vio_T_cam": vio})
     fit = fit_session(moved, straight, np.ones(len(segment.rows), bool))
     assert np.median(fit.sim3.rotation_deg) < 1e-6 and 0 < np.median(fit.sim3.position_m) < 0.01
-
-
-def test_drift_of_a_short_walk_is_measured_over_short_distances(walks: Walks) -> None:
-    drift = aligned(walk(walks, 0, 1.9)).drift
-    over = drift[(drift["definition"] == "distance_position") & (drift["session_id"] == "walk0")]
-    assert over["interval"].tolist() == [0.25, 0.5, 1.0]
-    assert over["median"].between(0.1, 10.0).all()

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 from groundwalk.geometry import GeometryError
-from groundwalk.geometry.depth_images import pixel_rays, ratio_statistics, sample_depth, smooth_pixels
+from groundwalk.geometry.depth_images import ratio_statistics, sample_depth, smooth_pixels
 
 SIZE = (640, 480)
 
 
 def plane(shape: tuple[int, int] = (48, 64)) -> np.ndarray:
     """Depth that is linear over the image: 1 m at its left border, 1.5 m at its right one."""
-    _, share = pixel_rays(shape, 1)
-    return (1 + 0.5 * share[:, 0]).reshape(shape)
+    return np.tile(1 + 0.5 * (np.arange(shape[1]) + 0.5) / shape[1], (shape[0], 1))
 
 
 def test_depth_is_read_where_the_image_has_it() -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from groundwalk.localisation import learned
 from groundwalk.localisation.definition import STAGE
 from groundwalk.localisation.feature_kinds import ALIKED, SIFT, XFEAT, FeatureKind
-from groundwalk.localisation.features import unit
+from groundwalk.localisation.matching import unit
 from groundwalk.scoring.errors import position_error
 from groundwalk.store import UserError, execute
 from groundwalk.store.tables import poses_of
@@ -72,7 +72,7 @@ def test_an_enlarged_image_has_the_same_features_at_its_own_pixels(kind: Feature
 
 def test_hloc_localises_with_features_of_a_network(make_boards: MakeBoards) -> None:
     made = make_boards()
-    settings = ["max_features=300", "pairs_per_frame=5", 'models=["HLoc-XFeat"]', "localisers.HLoc-XFeat.retrieved=4"]
+    settings = ["max_features=300", 'models=["HLoc-XFeat"]', "localisers.HLoc-XFeat.retrieved=4"]
     execute(STAGE, "Boards", "tiny", made.data, settings)
     predictions, models = made.table("predictions"), made.table("models")
     assert models["model"].tolist() == ["HLoc-XFeat"]

@@ -25,7 +25,7 @@ from groundwalk.store.images import read_image
 from tests.known import read_picture
 from tests.localisation.board_scene import CAMERA, HEIGHT, TEST, WIDTH, Boards, other_board_picture
 
-SMALL = ["max_features=300", "pairs_per_frame=5", "localisers.Map.max_points=400"]
+SMALL = ["max_features=300", "localisers.Map.max_points=400"]
 ROW = int(np.flatnonzero(TEST)[1])
 DOWN = [0.0, 1.0, 0.0]
 FOUR = (CAMERA["fx"], CAMERA["fy"], CAMERA["cx"], CAMERA["cy"])

@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.definition import STAGE
 from groundwalk.localisation.inputs import read_inputs
 from groundwalk.localisation.localisers import LOCALISERS
 from groundwalk.localisation.query import MapLocaliser
+from groundwalk.localisation.results import QueryResult
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import UserError, execute
 from groundwalk.store.manifests import load_manifest
@@ -23,7 +23,7 @@ from groundwalk.store.tables import pose_frame, poses_of, read_table, write_tabl
 from tests.known import read_picture
 from tests.localisation.board_scene import COUNT, TEST, VAL, Boards, other_board_picture
 
-SMALL = ["max_features=300", "pairs_per_frame=5", "localisers.Map.max_points=400"]
+SMALL = ["max_features=300", "localisers.Map.max_points=400"]
 MakeBoards = Callable[..., Boards]
 TIMED = ["inference_ms", "cpu_ms"]
 
@@ -138,7 +138,7 @@ def test_a_killed_run_resumes_and_ends_in_the_same_tables(
 ) -> None:
     made, asked = make_boards(), []
 
-    def killed_at_the_third(self: MapLocaliser, *arguments: Any, **more: Any) -> Answer:
+    def killed_at_the_third(self: MapLocaliser, *arguments: Any, **more: Any) -> QueryResult:
         asked.append(more)
         if len(asked) == 3:
             raise KeyboardInterrupt
@@ -153,7 +153,7 @@ def test_a_killed_run_resumes_and_ends_in_the_same_tables(
 
     calls = []
 
-    def counted(self: MapLocaliser, *arguments: Any, **more: Any) -> Answer:
+    def counted(self: MapLocaliser, *arguments: Any, **more: Any) -> QueryResult:
         calls.append(more)
         return localise(self, *arguments, **more)
 

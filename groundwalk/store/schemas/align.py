@@ -73,7 +73,7 @@ TABLES = [
                 "scale_source",
                 "string",
                 "what gives it its metric scale: vio, ruler: names, or reference (import.reference, in metres); with "
-                "', uncertain' where its standard error is above max_scale_sd; none: all lengths are in SfM's unit; "
+                "', uncertain' where its standard error is above 2 %; none: all lengths are in SfM's unit; "
                 "reference, unit unknown: all lengths are in the reference's unit; null without ground truth",
                 nullable=True,
             ),

@@ -15,11 +15,10 @@ from groundwalk.alignment.checks.definitions import DEFINITIONS
 from groundwalk.alignment.checks.results import CheckResult, with_status
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.decisions import Status
-from groundwalk.geometry.poses import make_pose
 from groundwalk.store.choices import CheckName
 from groundwalk.store.hints import ANY_SCENE
 from groundwalk.store.tables import poses_of
-from tests.alignment.checks.test_checks import NOISE, make_uncertain, mirror, of_walk, shuffle, stretch, turn_otherwise
+from tests.alignment.checks.test_checks import NOISE, mirror, of_walk, shuffle
 from tests.known import there
 from tests.synthetic_walks import Scene, Walks
 
@@ -38,16 +37,6 @@ def without(scene: Scene, session_id: str) -> Scene:
     keep = (scene.frames["session_id"] != session_id).to_numpy()
     frames, images = (table[keep].reset_index(drop=True) for table in (scene.frames, scene.images))
     return replace(scene, frames=frames, images=images, true_T_cam=scene.true_T_cam[keep])
-
-
-def fold(scene: Scene) -> None:
-    rows = of_walk(scene, 0)
-    half = len(rows) // 2
-    sfm, vio = poses_of(scene.images, "sfm_cam"), poses_of(scene.frames, "vio_cam")
-    sfm[rows[half:]] = sfm[rows[:half]]
-    vio[rows[half:]] = make_pose(np.eye(3), vio[rows[half], :3, 3] - vio[rows[0], :3, 3]) @ vio[rows[:half]]
-    scene.set_sfm(sfm)
-    scene.set_vio(vio)
 
 
 def scale_vio(scene: Scene) -> None:
@@ -71,23 +60,6 @@ def lose_most(scene: Scene) -> None:
     scene.images["registered"] = np.arange(len(scene.images)) % 3 == 0
 
 
-def displace(scene: Scene) -> None:
-    sfm = poses_of(scene.images, "sfm_cam")
-    sfm[of_walk(scene, 0)[12:15], :3, 3] += 3.0
-    scene.set_sfm(sfm)
-
-
-def turn_one(scene: Scene) -> None:
-    sfm = poses_of(scene.images, "sfm_cam")
-    row = of_walk(scene, 0)[14]
-    sfm[row, :3, :3] = sfm[row, :3, :3] @ Rotation.from_euler("y", 60, degrees=True).as_matrix()
-    scene.set_sfm(sfm)
-
-
-def stretch_uncertain(scene: Scene) -> None:
-    make_uncertain(scene, stretch(scene, 0))
-
-
 def cut_in_two(scene: Scene) -> None:
     rows = of_walk(scene, 0)
     scene.images.loc[rows[5:20], ["registered", "model_id"]] = [False, None]
@@ -99,18 +71,13 @@ _BROKEN: dict[CheckName, Callable[[Scene], None]] = {
     CheckName.SESSION_REGISTERED: lose,
     CheckName.SESSION_FOCAL_LENGTH: lambda scene: scene.set_focal("walk1", 1.1, 0.005),
     CheckName.SESSION_MOTION: lambda scene: shuffle(scene, of_walk(scene, 1)),
-    CheckName.SESSION_TURNS: lambda scene: turn_otherwise(scene, of_walk(scene, 1), 0.9),
-    CheckName.SESSION_ALIASING: fold,
     CheckName.SESSION_SCALE: scale_vio,
     CheckName.SESSION_VERTICAL: tilt,
-    CheckName.WINDOW_POSITION: displace,
-    CheckName.WINDOW_ROTATION: turn_one,
-    CheckName.SESSION_UNCERTAIN: stretch_uncertain,
     CheckName.COMPONENT_LINK: cut_in_two,
 }
 
 
-@pytest.mark.parametrize("name", [name for name in _BROKEN if "[align]" in DEFINITIONS[name].remedy])
+@pytest.mark.parametrize("name", sorted(_BROKEN.keys() - {CheckName.SESSION_MOTION}))
 def test_a_setting_that_is_advised_settles_its_check(walks: Walks, name: CheckName) -> None:
     scene = walks.make(**NOISE | {"sfm_m": 0.003, "sfm_deg": 0.02})
     _BROKEN[name](scene)

@@ -54,9 +54,7 @@ def stretch_vio(scene: Scene, factor: float) -> None:
         (SHORT, None, Status.UNDECIDED),
         ({"drift_m": 0.03, "drift_yaw_deg": 0.5, "sfm_deg": 0.2}, None, None),
         ({}, lambda scene: stretch_vio(scene, 0.88), Status.FAILED),
-        pytest.param({}, lambda scene: stretch_vio(scene, 0.97), None, marks=pytest.mark.slow),
         ({}, lambda scene: turn_otherwise(scene, of_walk(scene, 1), 0.9), Status.FAILED),
-        pytest.param({}, lambda scene: turn_otherwise(scene, of_walk(scene, 1), 0.97), None, marks=pytest.mark.slow),
         ({}, lambda scene: shuffle(scene, of_walk(scene, 1)), Status.FAILED),
     ],
 )
@@ -64,9 +62,8 @@ def test_no_sampling_turns_the_result_round(
     walks: Walks, changes: dict[str, float], breaking: Callable[[Scene], None] | None, expected: Status | None
 ) -> None:
     """Near a limit (`expected` None) a sampling may leave undecided what another decides, but not the other way."""
-    for seed in range(2):
-        scene = walks.make(**NOISE | changes | {"seed": seed})
-        if breaking is not None:
-            breaking(scene)
-        results = {status(scene), *map(status, resampled(scene))}
-        assert results <= {expected} if expected else not {Status.PASSED, Status.FAILED} <= results
+    scene = walks.make(**NOISE | changes)
+    if breaking is not None:
+        breaking(scene)
+    results = {status(scene), *map(status, resampled(scene))}
+    assert results <= {expected} if expected else not {Status.PASSED, Status.FAILED} <= results

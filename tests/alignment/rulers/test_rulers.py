@@ -23,7 +23,7 @@ from groundwalk.alignment.rulers.detection import (
     held_out_corners,
     nominal_corners,
 )
-from groundwalk.alignment.rulers.measurement import RulerDetections, RulerMeasurement, measure_rulers, undistorted
+from groundwalk.alignment.rulers.measurement import RulerDetections, RulerMeasurement, measure_rulers
 from groundwalk.alignment.rulers.scale_check import RulerCheck, check_rulers, describe, rulers_table
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, rulers_of
 from groundwalk.alignment.settings import AlignSettings
@@ -364,17 +364,6 @@ def test_a_rolling_shutter_is_undone_in_corners(scene: Scene, first_row: str) ->
     assert abs(fits[1].log_scale - fits[0].log_scale) < 0.002
 
 
-def test_undistortion_inverts_the_lens(scene: Scene) -> None:
-    rng = np.random.default_rng(0)
-    xy = rng.uniform(-0.5, 0.5, (100, 2))
-    matrix, distortion = opencv_camera(scene.frames, 3)
-    seen = np.column_stack([xy, np.ones(100)])
-    pixels: np.ndarray = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), matrix, distortion)[0]
-    found, focal_px = undistorted(scene.frames, np.full(100, 3), pixels.reshape(-1, 2))
-    np.testing.assert_allclose(found, xy, atol=1e-9)
-    assert (focal_px == 1400.0).all()
-
-
 # ------------------------------------------------------------------ images
 
 
@@ -437,11 +426,6 @@ def test_why_a_board_isnt_detected(flip: bool, changes: dict, words: str, tmp_pa
     (sighting,) = find_rulers([ruler(**{**printed, **changes})], frames, lambda image: tmp_path / image)
     assert words in sighting.absence and not len(sighting.row)
     assert explain_absence(ruler(**printed), [tmp_path / "0.png"]) != ""
-
-
-def test_an_image_that_is_gone_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="can't be read"):
-        find_rulers([ruler()], pd.DataFrame({"image": ["gone.jpg"]}), lambda image: tmp_path / image)
 
 
 def test_a_real_board_is_detected(shared_captures: Path) -> None:
@@ -537,24 +521,6 @@ def test_a_distances_pixels_lie_in_the_image(scene: Scene, xy: list[float]) -> N
     find_rulers([distance], frames, Path)
     with pytest.raises(UserError, match=r"(?s)'right' is outside of its image.*walk0/000001.*1920, 1440"):
         find_rulers([outside], frames, Path)
-
-
-def test_why_a_distance_is_not_measured_is_told_by_point(scene: Scene) -> None:
-    def problem_of(left: list[tuple[int, float, float]], right: list[tuple[int, float, float]]) -> str:
-        points = [
-            {"name": name, "observations": [{"frame": f"walk0/{i:06d}", "xy": [x, y]} for i, x, y in seen]}
-            for name, seen in (("left", left), ("right", right))
-        ]
-        (reading,) = read(scene, *find_rulers(rulers_of([{**DISTANCE, "points": points}]), scene.frames, Path))
-        return reading.problem
-
-    scene.images.loc[scene.images["frame_id"] == "walk0/000030", "registered"] = False
-    ahead = [(i, 960.0, 720.0) for i in (0, 1)]
-    words = "'left' in 2 and 'right' in 1 of the model's frames (walk0/000000, walk0/000001); each of its points must"
-    assert words in problem_of(ahead, [ahead[0], (30, 960.0, 720.0)])
-    # The rays of both points part behind the cameras, or nowhere near.
-    scattered = [(0, 20.0, 20.0), (1, 1900.0, 1400.0)]
-    assert "don't fit the frames' poses" in problem_of(scattered, scattered)
 
 
 # ------------------------------------------------------------------ stage
