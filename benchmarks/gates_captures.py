@@ -9,22 +9,23 @@ from pathlib import Path
 import numpy as np
 
 from groundwalk.simulation import details, materials
-from groundwalk.simulation.canvas import Canvas
+from groundwalk.simulation.canvas import Canvas, Material
 from groundwalk.simulation.capture import write_frames
-from groundwalk.simulation.mesh import TexturedMesh, build_mesh
-from groundwalk.simulation.place import Builder, Light
+from groundwalk.simulation.mesh import build_mesh
+from groundwalk.simulation.place import Light, Route, SceneryPlan
 from groundwalk.simulation.render import Renderer
-from groundwalk.simulation.scenes import SceneryPlan, scenery
+from groundwalk.simulation.scenes import scenery
+from groundwalk.simulation.scenes.builder import Builder
 from groundwalk.simulation.session import SessionOutline, plan_session, take
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.simulate import write_truth
-from groundwalk.simulation.walks import Route
+from groundwalk.simulation.textured_mesh import TexturedMesh
 from groundwalk.store.files import write_json
 from groundwalk.store.simulated import SIMULATED_MARKER
 
 CORRIDOR = "Corridor"
 _LENGTH_M, _WIDTH_M, _HEIGHT_M = 44.0, 2.4, 2.6
-_SETTINGS = SimulateSettings(width=320, height=240, texel_m=0.03, supersampling=1)
+_SETTINGS = SimulateSettings(width=320, texel_m=0.03, supersampling=1)
 # Seconds of a walk, with one picture a second.
 _WALK_S = {"Stairs": 24, "Office": 24, CORRIDOR: 34}
 _OTHER_WALK_S = 20
@@ -116,7 +117,7 @@ def _corridor(seed: int) -> SceneryPlan:
 _STONE = [(150, 162, 170), (120, 132, 142), (96, 110, 126)]
 
 
-def _same(seed: int, paint: materials.Material) -> materials.Material:
+def _same(seed: int, paint: Material) -> materials.Material:
     """The material painted from a seed of its own, so that it comes out the same wherever it is."""
 
     def painted(c: Canvas) -> None:
@@ -127,7 +128,7 @@ def _same(seed: int, paint: materials.Material) -> materials.Material:
     return painted
 
 
-def _repeated(seed: int, period_m: float, number: int, side: int) -> materials.Material:
+def _repeated(seed: int, period_m: float, number: int, side: int) -> Material:
     def furnish(c: Canvas) -> None:
         materials.plaster((186, 200, 206), 0.5)(c)
         details.door(c, 0.4, 0.95, 2.1, details.bright(c.rng))

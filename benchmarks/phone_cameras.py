@@ -58,7 +58,6 @@ _ESTIMATES = {
     "readout_s": "readout_sd_s",
     "time_offset_s": "time_offset_sd_s",
 }
-SETTINGS = {"k1": "lens_k1", "k2": "lens_k2", "readout_s": "readout_s", "breathing": "focus_breathing"}
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,8 @@ def run_phone(phone: Phone, work: Path) -> dict[str, Any]:
     """The figures of one case of the grid."""
     root = DataRoot(work / "data")
     shutil.rmtree(root.root, ignore_errors=True)
-    settings = [f"{name}={getattr(phone, field)}" for field, name in SETTINGS.items()]
+    settings = [f"lens=[{phone.k1}, {phone.k2}, 0]", f"readout_s={phone.readout_s}"]
+    settings.append(f"focus_breathing={phone.breathing}")
     settings += [] if phone.frame_fraction is None else [f"frame_fraction={phone.frame_fraction}"]
     simulated(phone.scene, root, *settings)
     figures: dict[str, Any] = {}

@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from groundwalk.simulation import materials
-from groundwalk.simulation.canvas import Canvas
-from groundwalk.simulation.materials import Material
-from groundwalk.simulation.place import Crown, Light, Movable, Place, Quad, SkyLook, Vec
-from groundwalk.simulation.walks import MARGIN_M, Route, beside_course
+from groundwalk.simulation.canvas import Canvas, Material
+from groundwalk.simulation.place import Crown, Light, Movable, Place, Quad, Route, SkyLook, Vec
+from groundwalk.simulation.walks import MARGIN_M, beside_course
 from groundwalk.store.choices import Appearance
 
 MOVED_FRACTION = 0.2  # of the movable things: moved, removed and new ones in turn

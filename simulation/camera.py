@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from groundwalk.geometry.lens import k1_k2_of_k3
-from groundwalk.simulation.lens import Lens
-from groundwalk.simulation.place import Vec
-from groundwalk.simulation.render import Rendering, View
-from groundwalk.simulation.settings import Drawn, SimulateSettings
+from groundwalk.geometry.poses import Array
+from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.simulation.view import RadialDistortion, Rendering, View
+from groundwalk.simulation.wander import wander
 
 FOCAL = 1447.65 / 1920  # of the image width: a phone's wide camera, 4:3
 _CENTRE = (967.5 / 1920, 692.5 / 1920)
@@ -34,7 +34,7 @@ class Phone:
     `time_offset_s`.
     """
 
-    lens: Lens
+    lens: RadialDistortion
     readout_s: float
     time_offset_s: float
 
@@ -48,15 +48,7 @@ class Exposure:
     noise: float
 
 
-def wander(t_s: Vec, low_hz: float, high_hz: float, rng: np.random.Generator) -> Vec:
-    """Smooth noise (N,) of about unit deviation with frequencies from low to high."""
-    n = 9
-    frequency = np.exp(rng.uniform(math.log(low_hz), math.log(high_hz), n))
-    phase = rng.uniform(0, 2 * math.pi, n)
-    return np.sin(2 * math.pi * np.outer(t_s, frequency) + phase).sum(axis=1) * math.sqrt(2 / n)
-
-
-def intrinsics(t_s: Vec, width: int, height: int, rng: np.random.Generator) -> Vec:
+def intrinsics(t_s: Array, width: int, height: int, rng: np.random.Generator) -> Array:
     """fx, fy, cx, cy (N, 4) in pixels: the focal length breathes with focus, stabilisation moves the centre."""
     focal = FOCAL * width * (1 + _BREATHING * np.clip(wander(t_s, 0.01, 0.12, rng), -2.2, 2.2))
     scale = width / 1920
@@ -68,31 +60,30 @@ def intrinsics(t_s: Vec, width: int, height: int, rng: np.random.Generator) -> V
 def draw_phone(settings: SimulateSettings, scene: str, seed: int) -> Phone:
     """The phone of a scene and seed: what the settings state, and the rest drawn from the spread of real ones."""
     rng = np.random.default_rng([seed, zlib.crc32(f"{scene}/phone".encode())])
-    k1, off_line, readout_s = rng.uniform(0.05, 0.12), rng.uniform(-0.03, 0.03), rng.uniform(0.010, 0.030)
-    is_drawn = settings.lens_k1 == settings.lens_k2 == "drawn"
-    k3 = _stated(settings.lens_k3, rng.uniform(0.0, 0.5) if is_drawn else 0.0)
-    # k1 and k2 were measured without a k3: with one, they are what all three together come nearest to.
-    of_k3 = k3 * k1_k2_of_k3(math.hypot(1, settings.height / settings.width) / 2 / FOCAL)
-    k1 = _stated(settings.lens_k1, k1 - of_k3[0])
-    # Measured pairs lie along a line that falls with k1.
-    k2 = np.clip(-0.125 - 1.6 * (k1 + of_k3[0] - 0.085) + off_line, -0.20, -0.05) - of_k3[1]
-    lens = Lens(float(k1), float(_stated(settings.lens_k2, k2)), float(k3))
-    return Phone(lens, _stated(settings.readout_s, readout_s), settings.time_offset_s)
+    k1, off_line, readout_s, k3 = (rng.uniform(*of) for of in ((0.05, 0.12), (-0.03, 0.03), (0.010, 0.030), (0.0, 0.5)))
+    if settings.lens == "drawn":
+        # k1 and k2 were measured without a k3: with one, they are what all three together come nearest to. Measured
+        # pairs lie along a line that falls with k1.
+        of_k3 = k3 * k1_k2_of_k3(math.hypot(1, settings.height / settings.width) / 2 / FOCAL)
+        k1 -= of_k3[0]
+        k2 = np.clip(-0.125 - 1.6 * (k1 + of_k3[0] - 0.085) + off_line, -0.20, -0.05) - of_k3[1]
+        lens = RadialDistortion(float(k1), float(k2), float(k3))
+    else:
+        lens = RadialDistortion(*settings.lens)
+    readout_s = readout_s if settings.readout_s == "drawn" else settings.readout_s
+    return Phone(lens, readout_s, settings.time_offset_s)
 
 
-def _stated(setting: float | Drawn, random: float) -> float:
-    return random if setting == "drawn" else setting
-
-
-def focus_breathing(t_s: Vec, settings: SimulateSettings, rng: np.random.Generator) -> Vec:
+def focus_breathing(t_s: Array, settings: SimulateSettings, rng: np.random.Generator) -> Array:
     """True focal length over the logged one (N,): swings once in about 20 s, which isn't in the log."""
-    amplitude = _stated(settings.focus_breathing, rng.uniform(0.0, 0.003))
+    drawn = rng.uniform(0.0, 0.003)
+    amplitude = drawn if settings.focus_breathing == "drawn" else settings.focus_breathing
     phase = rng.uniform(0, 2 * math.pi) + 0.8 * wander(t_s, 0.01, 0.04, rng)
     return 1 + amplitude * np.sin(2 * math.pi / _BREATH_S * t_s + phase)
 
 
 def auto_exposure(
-    brightness: Vec, step_s: float, indoor: bool, rng: np.random.Generator, longer: float = 1.0
+    brightness: Array, step_s: float, indoor: bool, rng: np.random.Generator, longer: float = 1.0
 ) -> list[Exposure]:
     """Exposures that follow the mean grey level (N,), sampled each step_s, with the lag of a real loop; they are
     `longer` times those by day for the same grey level."""
@@ -116,8 +107,8 @@ def auto_exposure(
 def expose(
     rendering: Rendering,
     view: View,
-    velocity_cam: Vec,
-    spin_cam: Vec,
+    velocity_cam: Array,
+    spin_cam: Array,
     exposure: Exposure,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
@@ -143,7 +134,7 @@ def _vignette(view: View) -> NDArray[np.float32]:
 
 
 def _motion_blur(
-    rendering: Rendering, view: View, velocity_cam: Vec, spin_cam: Vec, duration_s: float
+    rendering: Rendering, view: View, velocity_cam: Array, spin_cam: Array, duration_s: float
 ) -> NDArray[np.float32]:
     """Average the image along each pixel's path over the exposure, from depth and the camera's motion."""
     x = ((np.arange(view.width, dtype=np.float32) + 0.5 - view.cx) / view.fx)[None, :].astype(np.float32)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 Bgr = tuple[float, float, float]
 Field = NDArray[np.float32]
+Material = Callable[["Canvas"], None]  # paints a whole canvas
 _FONTS = (
     cv2.FONT_HERSHEY_SIMPLEX,
     cv2.FONT_HERSHEY_DUPLEX,

@@ -1,14 +1,13 @@
 """What surfaces are made of: each function fills a canvas with a material that doesn't repeat."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
-from groundwalk.simulation.canvas import Bgr, Canvas, Field
+from groundwalk.simulation.canvas import Bgr, Canvas, Field, Material
 
-Material = Callable[[Canvas], None]
 _FINE = (0.006, 0.011, 0.02, 0.04, 0.09, 0.2)
 _WEATHER = (0.4, 0.9, 2.0, 5.0)
 

@@ -6,48 +6,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.geometry.poses import Array
 from groundwalk.simulation import atlas
-from groundwalk.simulation.lens import PINHOLE, Lens
-from groundwalk.simulation.mesh import TexturedMesh
-from groundwalk.simulation.place import DAY_SKY, SkyLook, Vec
+from groundwalk.simulation.place import DAY_SKY, SkyLook
 from groundwalk.simulation.raycast import NOTHING, Caster, Hits
-from groundwalk.simulation.shutter import Shutter, turned
+from groundwalk.simulation.textured_mesh import TexturedMesh
+from groundwalk.simulation.view import F32, Rendering, View, turned
 
-F32 = NDArray[np.float32]
 _MAX_TAPS = 8
 _BLUR_PER_TAP = 1.4  # a tap covers this much of the footprint's length in units of its width
 _PANES = 3  # glass layers followed
 _GLASS_TINT = np.array([0.90, 0.93, 0.87], np.float32)
 _MAP_COLUMNS = 2048
 _DEPTH_EDGE = 0.06
-
-
-@dataclass(frozen=True)
-class View:
-    """A camera: OpenCV axes, pixel centres at 0.5, focal length and principal point in pixels, the pose at the middle
-    row; no shutter: all rows at once."""
-
-    world_T_cam: Vec
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    width: int
-    height: int
-    lens: Lens = PINHOLE
-    shutter: Shutter | None = None
-
-    def points(self, x: F32, y: F32) -> tuple[F32, F32]:
-        """Pixels about the principal point, in focal lengths."""
-        return (x - np.float32(self.cx)) / np.float32(self.fx), (y - np.float32(self.cy)) / np.float32(self.fy)
-
-
-@dataclass(frozen=True)
-class Rendering:
-    """A sharp, noiseless picture (H, W, 3) in display values 0 to 255, and depth along z (H, W), inf for sky."""
-
-    image: F32
-    depth: F32
 
 
 class Sky:
@@ -225,7 +196,7 @@ class _Sight:
 class _Look:
     """One view's rays, and its map from image points to texels: on each triangle's plane, a homography."""
 
-    def __init__(self, view: View, mesh: TexturedMesh, normals_T3: Vec, points_T3: Vec) -> None:
+    def __init__(self, view: View, mesh: TexturedMesh, normals_T3: Array, points_T3: Array) -> None:
         self._view = view
         self.focal = view.fx
         self._origin, self._rotation = view.world_T_cam[:3, 3], view.world_T_cam[:3, :3]

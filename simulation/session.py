@@ -12,11 +12,10 @@ from groundwalk.geometry.poses import inverse
 from groundwalk.simulation import camera
 from groundwalk.simulation.camera import Exposure, Phone
 from groundwalk.simulation.capture import FRAME, SessionFrames
-from groundwalk.simulation.place import SkyLook, Vec
-from groundwalk.simulation.render import Renderer, Sky, View
-from groundwalk.simulation.scenes import SceneryPlan
-from groundwalk.simulation.settings import SimulateSettings
-from groundwalk.simulation.shutter import row_times, shutter
+from groundwalk.simulation.place import SceneryPlan, SkyLook, Vec
+from groundwalk.simulation.render import Renderer, Sky
+from groundwalk.simulation.settings import JPEG_QUALITY, MAX_SESSION_S, SimulateSettings
+from groundwalk.simulation.view import View, row_times, shutter
 from groundwalk.simulation.vio import simulate_vio
 from groundwalk.simulation.walks import PlannedWalk, plan_walk
 from groundwalk.store.choices import Appearance
@@ -101,7 +100,7 @@ def outline(settings: SimulateSettings, scene: str, seed: int) -> list[SessionOu
         ("test", settings.test_frames, settings.test_sessions, settings.appearances),
     ):
         total = max(2, round(settings.frame_fraction * frames))
-        count = max(min_sessions, math.ceil(total / settings.image_hz / settings.max_session_s))
+        count = max(min_sessions, math.ceil(total / settings.image_hz / MAX_SESSION_S))
         for k in range(count):
             images = (k + 1) * total // count - k * total // count
             reach = 1.0 if kind == "train" else 0.6
@@ -208,7 +207,7 @@ def take(shot: Shot, renderer: Renderer, settings: SimulateSettings) -> None:
     sharp = renderer.render(shot.view, Sky(shot.sky_seed, shot.clock_s, shot.sky), settings.supersampling)
     rng = np.random.default_rng(shot.noise_seed)
     image = camera.expose(sharp, shot.view, shot.velocity_cam, shot.spin_cam, shot.exposure, rng)
-    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, settings.jpeg_quality])
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     with written_aside(shot.path) as partial:
         partial.write_bytes(data.tobytes())
 

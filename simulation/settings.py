@@ -9,8 +9,8 @@ from groundwalk.store import Settings
 from groundwalk.store.choices import Appearance
 
 Drawn = Literal["drawn"]
-# "drawn": lens, readout time and focus as measured on phones, another one for each scene and seed.
-_PHONE: float | Drawn = "drawn"
+JPEG_QUALITY = 90
+MAX_SESSION_S = 400.0  # longer walks are split into more sessions
 
 
 def _between(low: float, high: float) -> BeforeValidator:
@@ -24,10 +24,9 @@ def _between(low: float, high: float) -> BeforeValidator:
 
 
 class SimulateSettings(Settings):
-    """How much is simulated and how finely."""
+    """How much is simulated and how finely. "drawn": as measured on phones, another one for each scene and seed."""
 
-    width: int = Field(640, ge=64, description="image width, pixels")
-    height: int = Field(480, ge=48, description="image height, pixels")
+    width: int = Field(640, ge=64, multiple_of=4, description="image width, pixels; images are 4:3")
     rate_hz: float = Field(10.0, gt=0, le=60, description="poses a second")
     image_hz: float = Field(1.0, gt=0, description="images a second; every k-th pose has one")
     train_frames: int = Field(1500, gt=0, description="training images, before frame_fraction")
@@ -35,34 +34,21 @@ class SimulateSettings(Settings):
     frame_fraction: float = Field(
         0.18, gt=0, le=1, description="fraction of train_frames and test_frames that is simulated"
     )
-    train_sessions: int = Field(
-        3, ge=1, description="training walks; more where one would be longer than max_session_s"
-    )
-    test_sessions: int = Field(2, ge=1, description="test walks; more where one would be longer than max_session_s")
-    max_session_s: float = Field(400.0, gt=0, description="longer walks are split into more sessions")
+    train_sessions: int = Field(3, ge=1, description="training walks; more where one would take over 400 s")
+    test_sessions: int = Field(2, ge=1, description="test walks; more where one would take over 400 s")
     texel_m: float = Field(0.012, gt=0, description="texel of near surfaces, metres")
     supersampling: int = Field(2, ge=1, le=4, description="n x n rays a pixel where surfaces meet")
-    lens_k1: Annotated[float | Drawn, _between(-0.5, 0.5)] = Field(
-        _PHONE,
-        description='radial distortion k1, as OpenCV\'s; "drawn": 0.05 to 0.12 where k3 is 0, by scene and seed',
-    )
-    lens_k2: Annotated[float | Drawn, _between(-1, 1)] = Field(
-        _PHONE,
-        description='radial distortion k2; "drawn": -0.20 to -0.05 where k3 is 0, by scene and seed',
-    )
-    lens_k3: Annotated[float | Drawn, _between(-1, 1)] = Field(
-        _PHONE,
-        description='radial distortion k3; "drawn": 0 to 0.5 by scene and seed, with k1 and k2 that make up for it; 0 '
-        "where k1 or k2 is a number",
+    lens: tuple[float, float, float] | Drawn = Field(
+        "drawn", description='radial distortion k1, k2, k3 as OpenCV\'s, from -1 to 1; "drawn": by scene and seed'
     )
     readout_s: Annotated[float | Drawn, _between(0, 0.05)] = Field(
-        _PHONE, description='rolling shutter: first to last row, seconds; "drawn": 0.010 to 0.030, by scene and seed'
+        "drawn", description='rolling shutter: first to last row, seconds; "drawn": 0.010 to 0.030, by scene and seed'
     )
     time_offset_s: float = Field(
         0.0, ge=-0.1, le=0.1, description="logged time of an image minus that of its middle row, seconds"
     )
     focus_breathing: Annotated[float | Drawn, _between(0, 0.02)] = Field(
-        _PHONE, description='largest error of the logged focal length, as a fraction; "drawn": 0 to 0.003, by session'
+        "drawn", description='largest error of the logged focal length, as a fraction; "drawn": 0 to 0.003, by session'
     )
     appearances: tuple[Appearance, ...] = Field(
         (Appearance.SAME,),
@@ -71,7 +57,18 @@ class SimulateSettings(Settings):
         "elsewhere; evening: low warm sun, artificial light, noise; other_month: overcast, other foliage and ground, a "
         "fifth of the movable objects moved, removed or new",
     )
-    jpeg_quality: int = Field(90, ge=50, le=100, description="JPEG quality")
+
+    @property
+    def height(self) -> int:
+        """Image height, pixels."""
+        return 3 * self.width // 4
+
+    @field_validator("lens")
+    @classmethod
+    def _refuse_impossible(cls, lens: tuple[float, float, float] | Drawn) -> tuple[float, float, float] | Drawn:
+        if lens != "drawn" and not all(-1 <= k <= 1 for k in lens):
+            raise PydanticCustomError("lens", 'should be three numbers from -1 to 1, or "drawn"')
+        return lens
 
     @field_validator("appearances")
     @classmethod

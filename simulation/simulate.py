@@ -1,8 +1,9 @@
 """Simulates the captures of a scene: plans, renders in several processes, writes, and puts all in place at the end."""
 
+import functools
 import multiprocessing
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,13 @@ import pandas as pd
 from groundwalk.simulation.appearance import seen_as
 from groundwalk.simulation.capture import write_frames
 from groundwalk.simulation.existing import is_made, key_of, written_files
-from groundwalk.simulation.mesh import TexturedMesh, build_mesh, is_saved
+from groundwalk.simulation.mesh import build_mesh
+from groundwalk.simulation.place import SceneryPlan
 from groundwalk.simulation.render import Renderer
-from groundwalk.simulation.scenes import NAMES, SceneryPlan, scenery
+from groundwalk.simulation.scenes import NAMES, scenery
 from groundwalk.simulation.session import Shot, SimulatedSession, outline, plan_session, take
 from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.simulation.textured_mesh import TexturedMesh, is_saved
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.choices import Appearance
 from groundwalk.store.files import partial_folder, swap_in, write_json
@@ -47,7 +50,11 @@ def simulate(
     scene that can't be simulated, or a folder that holds anything which this function didn't write.
     """
     if scene not in NAMES:
-        raise _unknown(scene, profile, data)
+        raise UserError(
+            f"scene {scene} can't be simulated",
+            expected=f"one of {', '.join(NAMES)}",
+            do=f"{link_command(data.captures(scene), profile)}, for captures of your own",
+        )
     settings = resolve_settings(SimulateSettings, "simulate", data, profile, scene, overrides or [])
     config = data.scene(scene)[0]
     final = data.captures(scene)
@@ -59,7 +66,9 @@ def simulate(
             console.print(f"{title}: up to date")
             return final
         reduced = _reduced(settings, data, scene)
-        _say_reduced(reduced)
+        if reduced:
+            smaller = ", ".join(f"{name} {here} instead of {full}" for name, (here, full) in reduced.items())
+            console.print(f"  smaller than in profile paper: {smaller}")
         sessions: list[SimulatedSession] = []
 
         def attempt() -> None:
@@ -78,7 +87,14 @@ def simulate(
             "environment": config.environment,
             "extent_m": config.extent_m,
             "reduced": {name: {"here": here, "paper": full} for name, (here, full) in reduced.items()},
-            "sessions": {s.frames.name: {**_count(s), "appearance": s.appearance.value} for s in sessions},
+            "sessions": {
+                s.frames.name: {
+                    "poses": len(s.frames.time_s),
+                    "images": len(s.shots),
+                    "appearance": s.appearance.value,
+                }
+                for s in sessions
+            },
         }
         for mesh in {shot.mesh for session in sessions for shot in session.shots}:
             shutil.rmtree(work / mesh)
@@ -89,20 +105,6 @@ def simulate(
     return final
 
 
-def _unknown(scene: str, profile: str, data: DataRoot) -> UserError:
-    return UserError(
-        f"scene {scene} can't be simulated",
-        expected=f"one of {', '.join(NAMES)}",
-        do=f"{link_command(data.captures(scene), profile)}, for captures of your own",
-    )
-
-
-def _say_reduced(reduced: dict[str, tuple[Any, Any]]) -> None:
-    if reduced:
-        smaller = ", ".join(f"{name} {here} instead of {full}" for name, (here, full) in reduced.items())
-        console.print(f"  smaller than in profile paper: {smaller}")
-
-
 def plan_sessions(
     scene: str, settings: SimulateSettings, indoor: bool, work: Path, seed: int, *, test_only: bool = False
 ) -> list[SimulatedSession]:
@@ -111,7 +113,10 @@ def plan_sessions(
     outlines = [o for o in outline(settings, scene, seed) if not (test_only and o.walk.startswith("train"))]
     plans, renderers = {}, {}
     for appearance in dict.fromkeys(o.appearance for o in outlines):
-        plan = plans[appearance] = _scenery_seen_as(appearance, scene, seed)
+        plan = scenery(scene, seed)
+        if appearance != Appearance.SAME:
+            plan = SceneryPlan(seen_as(appearance, plan.place, plan.route, seed), plan.route, f"mesh-{appearance}")
+        plans[appearance] = plan
         if not is_saved(work / plan.mesh):
             build_mesh(plan.place, settings.texel_m, seed, track).save(work / plan.mesh)
         renderers[appearance] = Renderer(TexturedMesh.load(work / plan.mesh))
@@ -123,17 +128,6 @@ def plan_sessions(
     return sessions
 
 
-def _scenery_seen_as(appearance: Appearance, scene: str, seed: int) -> SceneryPlan:
-    plan = scenery(scene, seed)
-    if appearance == Appearance.SAME:
-        return plan
-    return SceneryPlan(seen_as(appearance, plan.place, plan.route, seed), plan.route, f"mesh-{appearance}")
-
-
-def _count(session: SimulatedSession) -> dict[str, int]:
-    return {"poses": len(session.frames.time_s), "images": len(session.shots)}
-
-
 def render_images(shots: list[Shot], settings: SimulateSettings, meshes: Path, processes: int) -> None:
     """Render all images that aren't there yet; each depends on its shot alone, not on the number of processes. `meshes`
     is the folder with the shots' meshes."""
@@ -143,9 +137,9 @@ def render_images(shots: list[Shot], settings: SimulateSettings, meshes: Path, p
     if not missing:
         return
     if processes == 1:
-        with_meshes = _Renderers(meshes, settings)
+        _start_worker(meshes, settings, cv2.getNumThreads())
         for shot in track(missing, "rendering images"):
-            with_meshes.take(shot)
+            _work(shot)
         return
     context = multiprocessing.get_context("spawn")
     with signals_held_from_workers():
@@ -155,30 +149,19 @@ def render_images(shots: list[Shot], settings: SimulateSettings, meshes: Path, p
             pass
 
 
-class _Renderers:
-    """The renderers of the meshes in a folder, each loaded when a shot asks for it."""
-
-    def __init__(self, meshes: Path, settings: SimulateSettings) -> None:
-        self._meshes, self._settings = meshes, settings
-        self._renderers: dict[str, Renderer] = {}
-
-    def take(self, shot: Shot) -> None:
-        if shot.mesh not in self._renderers:
-            self._renderers[shot.mesh] = Renderer(TexturedMesh.load(self._meshes / shot.mesh))
-        take(shot, self._renderers[shot.mesh], self._settings)
+_take: Callable[[Shot], None]
 
 
-_worker: _Renderers
-
-
-def _start_worker(meshes: Path, settings: SimulateSettings) -> None:
-    global _worker
-    cv2.setNumThreads(1)
-    _worker = _Renderers(meshes, settings)
+def _start_worker(meshes: Path, settings: SimulateSettings, threads: int = 1) -> None:
+    """Make a process ready to render shots; each mesh is loaded when a shot asks for it."""
+    global _take
+    cv2.setNumThreads(threads)
+    renderer = functools.cache(lambda mesh: Renderer(TexturedMesh.load(meshes / mesh)))
+    _take = lambda shot: take(shot, renderer(shot.mesh), settings)  # noqa: E731
 
 
 def _work(shot: Shot) -> None:
-    _worker.take(shot)
+    _take(shot)
 
 
 def write_truth(folder: Path, sessions: Iterable[SimulatedSession]) -> None:

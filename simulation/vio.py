@@ -24,9 +24,6 @@ Times = NDArray[np.int64]
 
 FIT_FILE = Path(__file__).with_name("vio_fit.toml")
 
-NORMAL = "normal"
-LIMITED = "limited"
-
 # Each effect has its own stream of random numbers, so that turning one off leaves the others as they were.
 _SESSION, _YAW, _POSITION, _JITTER, _JUMPS, _INTERRUPTIONS = range(6)
 
@@ -78,23 +75,17 @@ def read_model(path: Path) -> VioModel:
 
 FITTED: VioModel = read_model(FIT_FILE)
 
-EXACT = VioModel(**{f.name: float(f.name == "correlation_m") for f in fields(VioModel)})
-"""No error at all: the true relative motions in the session's own frame."""
-
 
 @dataclass(frozen=True, eq=False)
 class VioTrack:
     """A session as its odometry reports it.
 
     `vio_T_cam` (N, 4, 4): metric, +y up up to the session's tilt, OpenCV camera axes; the origin is the first camera
-    and -z its heading. `tracking` (N,): "normal" or "limited". `jumps` (J,): index of the first frame after each break
-    in the motion, rising; `jump_m` (J,): length of the break. After a lost tracking the frame itself is a new one.
+    and -z its heading. `tracking` (N,): "normal" or "limited"; after a lost tracking the frame itself is a new one.
     """
 
     vio_T_cam: Array
     tracking: NDArray[np.str_]
-    jumps: NDArray[np.int64]
-    jump_m: Array
 
 
 def simulate_vio(t_ns: ArrayLike, world_T_cam: ArrayLike, seed: int, model: VioModel = FITTED) -> VioTrack:
@@ -109,17 +100,10 @@ def simulate_vio(t_ns: ArrayLike, world_T_cam: ArrayLike, seed: int, model: VioM
         raise GeometryError(f"a walk needs N rising times and (N, 4, 4) poses: got {len(times)} and {truth.shape}")
 
     vio_T_cam = _drifted(truth, seed, model)
-    vio_T_cam, jumps = _with_jumps(times, vio_T_cam, seed, model)
+    vio_T_cam = _with_jumps(times, vio_T_cam, seed, model)
     vio_T_cam = vio_T_cam @ _jitter(len(times), seed, model)
-    vio_T_cam, limited, restarts = _with_interruptions(times, vio_T_cam, seed, model)
-
-    breaks = {i: m for i, m in {**jumps, **restarts}.items() if not limited[i]}
-    return VioTrack(
-        vio_T_cam=vio_T_cam,
-        tracking=np.where(limited, LIMITED, NORMAL),
-        jumps=np.array(sorted(breaks), dtype=np.int64),
-        jump_m=np.array([breaks[i] for i in sorted(breaks)], dtype=float),
-    )
+    vio_T_cam, limited = _with_interruptions(times, vio_T_cam, seed, model)
+    return VioTrack(vio_T_cam, np.where(limited, "limited", "normal"))
 
 
 def start_frame(world_T_cam: ArrayLike) -> Array:
@@ -181,8 +165,8 @@ def _drifted(truth: Array, seed: int, model: VioModel) -> Array:
     return make_pose(rotation, position)
 
 
-def _with_jumps(times: Times, vio_T_cam: Array, seed: int, model: VioModel) -> tuple[Array, dict[int, float]]:
-    """The track with small lasting jumps of position, and their lengths by frame."""
+def _with_jumps(times: Times, vio_T_cam: Array, seed: int, model: VioModel) -> Array:
+    """The track with small lasting jumps of position."""
     rng = np.random.default_rng([seed, _JUMPS])
     starts = _poisson_frames(rng, times, model.jumps_per_min)
     length = model.jump_min_m + rng.exponential(model.jump_mean_m - model.jump_min_m, len(starts))
@@ -192,17 +176,14 @@ def _with_jumps(times: Times, vio_T_cam: Array, seed: int, model: VioModel) -> t
     np.add.at(shift, starts, jump)
     moved = vio_T_cam.copy()
     moved[:, :3, 3] += np.cumsum(shift, axis=0)
-    return moved, {int(i): float(np.linalg.norm(shift[i])) for i in starts}
+    return moved
 
 
-def _with_interruptions(
-    times: Times, vio_T_cam: Array, seed: int, model: VioModel
-) -> tuple[Array, NDArray[np.bool_], dict[int, float]]:
+def _with_interruptions(times: Times, vio_T_cam: Array, seed: int, model: VioModel) -> tuple[Array, NDArray[np.bool_]]:
     """The track with lost tracking: the pose stands still while tracking is limited, then the session starts anew with
-    its origin at the camera. Returns poses, which frames are limited, and the lengths of the breaks by frame."""
+    its origin at the camera. Returns poses, and which frames are limited."""
     rng = np.random.default_rng([seed, _INTERRUPTIONS])
     limited = np.zeros(len(times), dtype=bool)
-    breaks: dict[int, float] = {}
     out = vio_T_cam.copy()
     for first in _poisson_frames(rng, times, model.interruptions_per_min):
         if limited[first]:
@@ -212,9 +193,8 @@ def _with_interruptions(
         standing = out[first - 1].copy()
         if after < len(times):
             out[after:] = inverse(start_frame(out[after])) @ out[after:]
-            breaks[after] = float(np.linalg.norm(out[after, :3, 3] - standing[:3, 3]))
         out[first:after] = standing
-    return out, limited, breaks
+    return out, limited
 
 
 def _poisson_frames(rng: np.random.Generator, times: Times, per_min: float) -> NDArray[np.int64]:

@@ -1,7 +1,7 @@
 """Hand-held walks: a course through a place, walked with gait, pauses and looking around."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +9,8 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from groundwalk.geometry.poses import make_pose
-from groundwalk.simulation.camera import wander
-from groundwalk.simulation.place import UP, Place, Vec
+from groundwalk.simulation.place import UP, Place, Route, Vec
+from groundwalk.simulation.wander import wander
 
 MARGIN_M = 0.35  # kept from everything solid
 EYE_M = 1.5
@@ -18,24 +18,6 @@ _STEP_M = 0.05
 _TICK_S = 1 / 60
 _GAIT_HZ = 1.8
 _FAR_DEG = (40.0, 110.0)
-
-
-@dataclass(frozen=True)
-class Route:
-    """A closed course: points (x, z, gaze in degrees to the left of the way ahead) or (x, z, gaze, floor height).
-
-    Walkers keep within `spread_m` to each side of it, at `speed_mps` on the straight, and look `look_deg` around
-    the gaze. `tilt_deg` is how far up they hold the phone. `far_glances` is the fraction of their glances aside that
-    go far.
-    """
-
-    points: Sequence[tuple[float, ...]]
-    speed_mps: float = 1.15
-    spread_m: float = 0.9
-    look_deg: float = 8.0
-    tilt_deg: float = 4.0
-    turn_deg_s: float = 30.0
-    far_glances: float = 0.35
 
 
 @dataclass(frozen=True)

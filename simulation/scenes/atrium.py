@@ -1,12 +1,12 @@
 """Atrium: a high hall with columns, galleries, a reception, plants and glass, 30 by 50 m."""
 
 from groundwalk.simulation import details, materials
-from groundwalk.simulation.canvas import Canvas
-from groundwalk.simulation.place import Builder, Light, Place
+from groundwalk.simulation.canvas import Canvas, Material
+from groundwalk.simulation.place import Light, Place
 from groundwalk.simulation.scenes import indoor_parts as parts
+from groundwalk.simulation.scenes.builder import Builder
 from groundwalk.simulation.scenes.indoor_parts import Hung
 from groundwalk.simulation.scenes.parts import BRICK_DARK, BRICK_YELLOW, SANDSTONE, planter
-from groundwalk.simulation.walks import Route
 
 EXTENT_M = (30.0, 50.0)
 _HEIGHT_M = 11.0
@@ -56,7 +56,7 @@ def _ceiling(c: Canvas) -> None:
         c.box(x, 0, x + 0.35, c.height_m, (90, 70, 60))
 
 
-def _shopfront(material: materials.Material) -> materials.Material:
+def _shopfront(material: Material) -> Material:
     """A storey of doors, posters, boards and windows to rooms behind."""
 
     def paint(c: Canvas) -> None:
@@ -88,7 +88,7 @@ def _shopfront(material: materials.Material) -> materials.Material:
     return paint
 
 
-def _end_wall(material: materials.Material) -> materials.Material:
+def _end_wall(material: Material) -> Material:
     def paint(c: Canvas) -> None:
         material(c)
         for k in range(5):
@@ -188,24 +188,3 @@ def _furniture(b: Builder) -> None:
             b.box(f"board{k}", (x, z), (1.1, 1.9, 0.2), board, yaw_deg=yaw)
     for k, z in enumerate((-8.5, 0.5, 9.0)):
         parts.pane(b, f"screen{k}", (-1.6, z + 0.9), (1.6, z + 0.9), 0, 2.4)
-
-
-# Around the furniture in the middle; the gaze changes between the long walls and the hall.
-ROUTE = Route(
-    [
-        (-7.6, 17.5, 10),
-        (-3.0, 21.6, -15),
-        (3.5, 21.4, -10),
-        (7.8, 17.0, -15),
-        (8.0, 8.0, -30),
-        (7.8, -1.0, -35),
-        (8.0, -10.0, -20),
-        (7.0, -17.2, 10),
-        (1.5, -20.8, 0),
-        (-5.0, -16.6, 10),
-        (-7.8, -10.0, -25),
-        (-7.8, -1.0, -35),
-        (-8.0, 8.5, -25),
-    ],
-    tilt_deg=4,
-)

@@ -2,10 +2,10 @@
 
 from groundwalk.simulation import details, materials
 from groundwalk.simulation.canvas import Bgr, Canvas
-from groundwalk.simulation.place import Builder, Light, Place, Xz
+from groundwalk.simulation.place import Light, Place, Xz
 from groundwalk.simulation.scenes import parts
+from groundwalk.simulation.scenes.builder import Builder
 from groundwalk.simulation.scenes.parts import Facade
-from groundwalk.simulation.walks import Route
 
 EXTENT_M = (55.0, 35.0)
 _BLOCK = (11.0, 4.5)  # half sizes of the houses in the middle
@@ -143,25 +143,3 @@ def _table(b: Builder, name: str, at: Xz, umbrella: bool) -> None:
 
         b.box(f"{name}.pole", at, (0.06, 1.6, 0.06), materials.plain((180, 185, 188)), bottom=0.78)
         b.box(f"{name}.umbrella", at, (2.0, 0.32, 2.0), cloth, bottom=2.35, yaw_deg=turn, faces="fblrtu", solid=False)
-
-
-# Around the block in the middle; the gaze changes between the outer houses and the block.
-ROUTE = Route(
-    [
-        (-16.5, 9.8, -15),
-        (-9.0, 10.4, -30),
-        (0.0, 10.6, -35),
-        (9.0, 10.4, -20),
-        (16.2, 9.2, 10),
-        (18.6, 3.0, -20),
-        (18.4, -4.0, 0),
-        (15.0, -9.8, 20),
-        (7.0, -10.6, -30),
-        (-2.0, -10.6, -35),
-        (-10.5, -10.4, -15),
-        (-16.8, -8.6, 10),
-        (-18.6, -2.0, 25),
-        (-18.4, 5.0, 10),
-    ],
-    tilt_deg=6,
-)

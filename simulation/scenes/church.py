@@ -3,11 +3,11 @@
 import math
 
 from groundwalk.simulation import details, materials
-from groundwalk.simulation.canvas import Canvas
-from groundwalk.simulation.place import Builder, Light, Place
+from groundwalk.simulation.canvas import Canvas, Material
+from groundwalk.simulation.place import Light, Place
 from groundwalk.simulation.scenes import parts
+from groundwalk.simulation.scenes.builder import Builder
 from groundwalk.simulation.scenes.parts import Facade
-from groundwalk.simulation.walks import Route
 
 EXTENT_M = (50.0, 40.0)
 _EAVES_M = 8.0
@@ -171,29 +171,9 @@ def _yard(b: Builder) -> None:
     for k, (x, z, yaw) in enumerate(((-19.5, 0.5, 80), (15.6, -5.4, -60), (-9, -13.5, 10))):
         grave = materials.marble((150, 154, 156), (90, 92, 96))
 
-        def stone(c: Canvas, grave: materials.Material = grave) -> None:
+        def stone(c: Canvas, grave: Material = grave) -> None:
             grave(c)
             for row in range(4):
                 c.text(0.15, c.height_m - 0.4 - 0.28 * row, 0.15, details.word(c.rng, 4), (50, 50, 54), c.width_m - 0.3)
 
         b.box(f"memorial{k}", (x, z), (1.6, 1.6, 0.4), stone, yaw_deg=yaw)
-
-
-# A way around the church; the gaze goes from the houses on the right to the church on the left and back.
-ROUTE = Route(
-    [
-        (-16.5, 8.4, 20),
-        (-9.0, 8.0, -25),
-        (0.0, 8.0, -35),
-        (8.0, 7.4, -10),
-        (12.6, 4.2, 40),
-        (13.4, -2.2, 45),
-        (10.6, -7.2, 10),
-        (3.0, -9.0, -30),
-        (-6.0, -8.4, -35),
-        (-14.0, -8.6, -10),
-        (-17.4, -4.5, 40),
-        (-17.8, 2.5, 45),
-    ],
-    tilt_deg=6,
-)

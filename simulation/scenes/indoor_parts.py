@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from groundwalk.simulation import details, materials
-from groundwalk.simulation.canvas import Bgr, Canvas
-from groundwalk.simulation.materials import Material
-from groundwalk.simulation.place import Builder, Xz
+from groundwalk.simulation.canvas import Bgr, Canvas, Material
+from groundwalk.simulation.place import Xz
+from groundwalk.simulation.scenes.builder import Builder
 
 CEILING = materials.tiles(0.6, [(216, 220, 222), (208, 213, 216)], (150, 152, 154), 4)
 

@@ -2,10 +2,10 @@
 
 from groundwalk.simulation import details, materials
 from groundwalk.simulation.canvas import Canvas
-from groundwalk.simulation.place import Builder, Light, Place
+from groundwalk.simulation.place import Light, Place
 from groundwalk.simulation.scenes import indoor_parts as parts
+from groundwalk.simulation.scenes.builder import Builder
 from groundwalk.simulation.scenes.indoor_parts import Hung
-from groundwalk.simulation.walks import Route
 
 EXTENT_M = (7.5, 4.0)
 _CEILING_M = 2.8
@@ -87,24 +87,3 @@ def _cabinet(c: Canvas) -> None:
         c.box(c.width_m / 2 - 0.06, y + 0.2, c.width_m / 2 + 0.06, y + 0.22, (60, 60, 60))
         details.notice(c, 0.06 + c.rng.uniform(0, 0.2), y + 0.06, 0.12, 0.1)
     details.notice(c, c.width_m * 0.55, c.height_m * 0.5, 0.18, 0.24)
-
-
-# Rounds in the free middle; the gaze goes across the room.
-ROUTE = Route(
-    [
-        (-2.3, 0.45, 25),
-        (-1.0, 0.7, 35),
-        (0.6, 0.6, 30),
-        (1.9, 0.55, 30),
-        (2.25, 0.0, 25),
-        (1.6, -0.5, 25),
-        (0.3, -0.6, 35),
-        (-1.3, -0.6, 35),
-        (-2.4, -0.35, 25),
-    ],
-    speed_mps=0.5,
-    spread_m=0.25,
-    look_deg=10,
-    tilt_deg=-3,
-    turn_deg_s=18,
-)

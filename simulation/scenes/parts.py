@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from groundwalk.simulation import details, materials
-from groundwalk.simulation.canvas import Bgr, Canvas, vary
-from groundwalk.simulation.materials import Material
-from groundwalk.simulation.place import Builder, Vec, Xz
+from groundwalk.simulation.canvas import Bgr, Canvas, Material, vary
+from groundwalk.simulation.place import Vec, Xz
+from groundwalk.simulation.scenes.builder import Builder
 
 BRICK_RED = materials.masonry(
     0.075, 0.22, [(62, 74, 150), (70, 84, 168), (58, 66, 128), (80, 98, 170)], (160, 168, 172)

@@ -4,10 +4,10 @@ import math
 
 from groundwalk.simulation import details, materials
 from groundwalk.simulation.canvas import Canvas
-from groundwalk.simulation.place import Builder, Light, Place
+from groundwalk.simulation.place import Light, Place
 from groundwalk.simulation.scenes import parts
+from groundwalk.simulation.scenes.builder import Builder
 from groundwalk.simulation.scenes.parts import Facade
-from groundwalk.simulation.walks import Route
 
 EXTENT_M = (40.0, 25.0)
 
@@ -126,24 +126,3 @@ def _market(b: Builder) -> None:
             for i in (-1.2, 1.2):
                 pole = (x + i * math.cos(turn), z - i * math.sin(turn))
                 b.box(f"stall{k}.pole{i}", pole, (0.07, 2.15, 0.07), materials.plain((60, 60, 64)), yaw_deg=yaw)
-
-
-# Around the fountain and the market; the gaze goes over the square to the houses beyond.
-ROUTE = Route(
-    [
-        (-13.0, 6.8, 15),
-        (-6.5, 7.4, 25),
-        (1.0, 7.4, 30),
-        (8.0, 7.2, 20),
-        (13.4, 4.6, 15),
-        (14.2, -1.0, 30),
-        (12.6, -6.6, 20),
-        (6.0, -7.6, 25),
-        (-1.5, -7.6, 30),
-        (-8.5, -7.4, 20),
-        (-13.6, -4.6, 15),
-        (-14.2, 1.5, 30),
-    ],
-    tilt_deg=5,
-    spread_m=1.0,
-)

@@ -1,12 +1,12 @@
 """Stairs: two flights with landings around a glass screen, 5.5 by 4.5 m and 6 m high."""
 
 from groundwalk.simulation import details, materials
-from groundwalk.simulation.canvas import Canvas
-from groundwalk.simulation.place import Builder, Light, Place
+from groundwalk.simulation.canvas import Canvas, Material
+from groundwalk.simulation.place import Light, Place
 from groundwalk.simulation.scenes import indoor_parts as parts
+from groundwalk.simulation.scenes.builder import Builder
 from groundwalk.simulation.scenes.indoor_parts import Hung
 from groundwalk.simulation.scenes.parts import BRICK_RED, BRICK_YELLOW
-from groundwalk.simulation.walks import Route
 
 EXTENT_M = (5.5, 4.5)
 HEIGHT_M = 6.0
@@ -53,7 +53,7 @@ def _walls(b: Builder, x: float, z: float) -> None:
         b.wall(f"{name}.high", left, right, 3, HEIGHT_M, _wall(high))
 
 
-def _wall(material: materials.Material) -> materials.Material:
+def _wall(material: Material) -> Material:
     def paint(c: Canvas) -> None:
         Hung(material, 0.5, 0.9, 0.6).paint(c)
         for _ in range(14):
@@ -103,45 +103,3 @@ def _flight(b: Builder, name: str, z0: float, z1: float, base: float, up: bool) 
         x = first + run * (k + 0.5) if up else last - run * (k + 0.5)
         height = base + _RISE_M * (k + 1) / _STEPS
         b.box(f"{name}{k}", (x, (z0 + z1) / 2), (run, height, z1 - z0), side, top=tread, faces="fblrt")
-
-
-# Up, round on the gallery, down on the outer side and round at the bottom.
-ROUTE = Route(
-    [
-        (-1.85, -0.75, 0, 0.0),
-        (-1.3, -1.0, 0, 0.0),
-        (0.05, -1.0, 0, 0.75),
-        (1.4, -1.0, 0, 1.5),
-        (2.0, -0.5, 10, 1.5),
-        (2.0, 0.5, 10, 1.5),
-        (1.4, 1.0, 0, 1.5),
-        (0.05, 1.0, 0, 2.25),
-        (-1.3, 1.0, 0, 3.0),
-        (-1.8, 0.4, 0, 3.0),
-        (-1.78, -0.6, 0, 3.0),
-        (-2.06, -1.05, 0, 3.0),
-        (-2.3, -0.6, 0, 3.0),
-        (-2.25, 0.8, 0, 3.0),
-        (-1.9, 1.5, 0, 3.0),
-        (-1.3, 1.6, 0, 3.0),
-        (0.05, 1.6, 0, 2.25),
-        (1.4, 1.6, 0, 1.5),
-        (2.2, 0.9, 10, 1.5),
-        (2.3, 0.0, 10, 1.5),
-        (2.2, -0.9, 10, 1.5),
-        (1.4, -1.6, 0, 1.5),
-        (0.05, -1.6, 0, 0.75),
-        (-1.3, -1.6, 0, 0.0),
-        (-2.1, -1.3, 0, 0.0),
-        (-2.28, -0.4, 0, 0.0),
-        (-2.28, 0.6, 0, 0.0),
-        (-2.06, 1.0, 0, 0.0),
-        (-1.78, 0.6, 0, 0.0),
-        (-1.76, 0.0, 0, 0.0),
-    ],
-    speed_mps=0.6,
-    spread_m=0.08,
-    look_deg=6,
-    tilt_deg=0,
-    turn_deg_s=24,
-)

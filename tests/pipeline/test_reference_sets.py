@@ -19,7 +19,7 @@ SCENE = "Church"
 
 
 # Two of the formats can't hold a lens: the simulated camera is a pinhole, and is taken as one.
-PINHOLE = ["lens_k1=0", "lens_k2=0", "readout_s=0", "focus_breathing=0"]
+PINHOLE = ["lens=[0, 0, 0]", "readout_s=0", "focus_breathing=0"]
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> DataRoot:
     """A simulated scene, and scenes `auto` and `top` of the same capture with its images turned clockwise."""
     data = DataRoot(tmp_path_factory.mktemp("data"))
     arguments = ["--scene", SIMULATED, "--profile", "tiny", "--data", str(data.root)]
-    for setting in (f"readout_s={READOUT_S}", "focus_breathing=0", "width=480", "height=360", "frame_fraction=0.03"):
+    for setting in (f"readout_s={READOUT_S}", "focus_breathing=0", "width=480", "frame_fraction=0.03"):
         arguments += ["--set", setting]
     CliRunner().invoke(simulation_app, arguments, catch_exceptions=False)
     for recording in find_recordings(data.captures(SIMULATED), data.root / "unpacked", Limits()):

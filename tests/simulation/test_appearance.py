@@ -1,7 +1,6 @@
 """Other lights: the same walks through the same walls; light, sky, leaves, ground and things differ."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,11 +13,12 @@ from groundwalk.simulation.camera import auto_exposure
 from groundwalk.simulation.canvas import Canvas
 from groundwalk.simulation.lighting import light_on_quad
 from groundwalk.simulation.mesh import build_mesh
-from groundwalk.simulation.place import Builder, Light, Place
+from groundwalk.simulation.place import Light, Place, Route
 from groundwalk.simulation.raycast import Caster
 from groundwalk.simulation.scenes import NAMES, scenery
+from groundwalk.simulation.scenes.builder import Builder
 from groundwalk.simulation.simulate import simulate
-from groundwalk.simulation.walks import Route, beside_course
+from groundwalk.simulation.walks import beside_course
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.choices import Appearance
 from groundwalk.store.schemas import schema
@@ -28,7 +28,7 @@ from tests.known import read_picture
 
 OTHERS = [a for a in Appearance if a != Appearance.SAME]
 SMALL = ["frame_fraction=0.006", "test_frames=600", "train_sessions=2", "test_sessions=1", "rate_hz=5", "width=96"]
-SMALL += ["height=72", "texel_m=0.12"]
+SMALL += ["texel_m=0.12"]
 ROUTE = Route([(4.0, 4.0, 0), (4.0, -4.0, 0), (-4.0, -4.0, 0), (-4.0, 4.0, 0)], spread_m=0.3)
 
 
@@ -176,9 +176,3 @@ def test_an_unknown_appearance_is_said(marker: str, tmp_path: Path) -> None:
 def test_appearances_that_cannot_be_simulated_are_refused(setting: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=said):
         simulate("Office", "tiny", DataRoot(tmp_path), [*SMALL, setting], processes=1)
-
-
-def test_a_place_without_movable_things_keeps_its_things() -> None:
-    place = replace(scenery("Stairs", 0).place, movables=[])
-    there = seen_as(Appearance.OTHER_MONTH, place, scenery("Stairs", 0).route, 0)
-    assert names(there) == names(place)
