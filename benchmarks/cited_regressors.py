@@ -5,7 +5,6 @@ test frames against the ground truth of a finished run (import, sfm, align). Wha
 `work`. Writes docs/results/cited-regressors.md and .csv.
 """
 
-import csv
 import tomllib
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +13,7 @@ import numpy as np
 import typer
 
 from benchmarks.regressors import FIGURES, cell, error_figures, link, trained
-from benchmarks.results import circumstances, markdown_table
+from benchmarks.results import circumstances, markdown_table, write_page
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import new_app
@@ -95,15 +94,10 @@ def write(out: Path, run: tuple[str, str, int], rows: dict[str, Figures], revisi
     )
     trained_by = "Trained by revision: " + ", ".join(f"{name} {one}" for name, one in revisions.items()) + "."
     parts = ["# Regressors that the paper cites", head, circumstances(), trained_by, table(rows)]
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "cited-regressors.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
-    with (out / "cited-regressors.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("case", "epochs", "figure", "value", "unit"))
-        for case, figures in rows.items():
-            writer.writerows(
-                (case, epochs, name, f"{value:.6g}", FIGURES.get(name, "")) for name, value in figures.items()
-            )
+    figures: list[tuple[object, ...]] = [("case", "epochs", "figure", "value", "unit")]
+    for case, of_case in rows.items():
+        figures += [(case, epochs, name, f"{value:.6g}", FIGURES.get(name, "")) for name, value in of_case.items()]
+    write_page(out, "cited-regressors", parts, figures)
 
 
 @app.command()

@@ -10,7 +10,7 @@ from typing import Annotated
 import pandas as pd
 import typer
 
-from benchmarks.results import circumstances, markdown_table
+from benchmarks.results import circumstances, markdown_table, write_page
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import new_app
@@ -43,7 +43,7 @@ def main(
         scenes = [scene for scene in rows["scene"].unique() if scene != "average"]
         ours = {scene: errors_of(DataRoot(data), profile, f"{PREFIXES[str(dataset)]}-{scene}") for scene in scenes}
         sections += [f"## {dataset}", markdown_table(_table(rows, [*scenes, "average"], ours))]
-    (out / "datasets.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+    write_page(out, "datasets", sections)
 
 
 def errors_of(data: DataRoot, profile: str, scene: str) -> dict[str, tuple[float, float]]:

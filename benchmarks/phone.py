@@ -5,7 +5,6 @@ errors of fp32 and int8. Times are of the published image size, 224 px, too, for
 without regard to accuracy. Writes docs/results/phone.md and .csv.
 """
 
-import csv
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,7 +18,7 @@ import typer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.results import circumstances, instruction_sets, markdown_table
+from benchmarks.results import circumstances, instruction_sets, markdown_table, write_page
 from groundwalk.export.phone.bundle import write_bundle
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.phone.networks import write_onnx
@@ -212,14 +211,11 @@ def _times(model: str, network: str, file: Path, threads: int, tensor: NDArray[n
 
 def _write(out: Path, figures: Sequence[Figure], notes: Sequence[str], inputs: str) -> None:
     """Write phone.md and phone.csv into the folder."""
-    out.mkdir(parents=True, exist_ok=True)
     about = f"{circumstances()} Instruction sets: {instruction_sets()}. {inputs}"
-    with (out / "phone.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["model", "network", "figure", "value", "unit", "most", "met", "circumstances"])
-        for f in figures:
-            row = [f.model, f.network, f.name, f"{f.value:.6g}", f.unit, "" if f.most is None else f.most, _met(f)]
-            writer.writerow([*row, about])
+    rows: list[list[object]] = [["model", "network", "figure", "value", "unit", "most", "met", "circumstances"]]
+    for f in figures:
+        most = "" if f.most is None else f.most
+        rows.append([f.model, f.network, f.name, f"{f.value:.6g}", f.unit, most, _met(f), about])
     targets = [["model", "network", "figure", "value", "at most", ""]]
     targets += [
         [f.model, f.network, f.name, f"{f.value:.3g} {f.unit}", f"{f.most:g} {f.unit}", _met(f)]
@@ -229,7 +225,7 @@ def _write(out: Path, figures: Sequence[Figure], notes: Sequence[str], inputs: s
     sections = [_HEAD, about, markdown_table(targets), "\n".join(f"- {note}" for note in notes)]
     for model in dict.fromkeys(f.model for f in figures):
         sections += [f"## {model}", markdown_table(_rows([f for f in figures if f.model == model]))]
-    (out / "phone.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+    write_page(out, "phone", sections, rows)
 
 
 def _rows(figures: Sequence[Figure]) -> Iterable[list[str]]:

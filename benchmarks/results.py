@@ -1,5 +1,6 @@
 """What every page of docs/results says of its run, and its tables."""
 
+import csv
 import os
 import platform
 from collections.abc import Iterable, Sequence
@@ -16,6 +17,16 @@ def markdown_table(rows: Iterable[Sequence[str]]) -> str:
     first, *rest = rows
     lines = [first, ["---"] * len(first), *rest]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)
+
+
+def write_page(out: Path, name: str, sections: Iterable[str], figures: Iterable[Sequence[object]] = ()) -> None:
+    """Write <name>.md of these sections into the folder, and <name>.csv of the figures, the first row its heading."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / f"{name}.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+    rows = list(figures)
+    if rows:
+        with (out / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 def machine() -> str:

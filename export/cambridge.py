@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from groundwalk.export.dataset import Dataset, Images, number
-from groundwalk.export.sequences import sequences
 from groundwalk.geometry.poses import inverse, quaternion_from_matrix
 
 _HEADER = "Visual Landmark Dataset V1\nImageFile, Camera Position [X Y Z W P Q R]\n\n"
@@ -23,7 +22,7 @@ def write_cambridge(dataset: Dataset, folder: Path, images: Images) -> list[str]
     quaternion = quaternion_from_matrix(inverse(dataset.map_T_cam)[:, :3, :3])[:, [3, 0, 1, 2]]
     placed = [""] * len(dataset.frames)
     lists: dict[bool, list[str]] = {False: [], True: []}
-    for index, (test, rows) in enumerate(sequences(dataset), start=1):
+    for index, (test, rows) in enumerate(dataset.sequences(), start=1):
         for count, row in enumerate(rows):
             placed[row] = f"seq{index}/frame{count:05d}{dataset.images[row].suffix}"
             dataset.images[row].place(folder / placed[row], images)

@@ -9,7 +9,7 @@ import pandas as pd
 import typer
 
 from groundwalk.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number
-from groundwalk.export.exporters import EXPORTERS, MODEL_EXPORTERS, written
+from groundwalk.export.exporters import EXPORTERS, MODEL_EXPORTERS
 from groundwalk.store import DataRoot, UserError, progress
 from groundwalk.store.cli import DataOption, ProfileOption
 from groundwalk.store.files import file_names, fresh_folder, refuse_to_overwrite, write_json
@@ -157,13 +157,17 @@ def write_export(
     """
     out = out.absolute()
     refuse_to_overwrite(out, "exports", _NOTE, "format", force=force)
-    coefficients = EXPORTERS.find(format_name).distortion_coefficients
-    if coefficients is not None:
-        dataset = dataset.without_distortion(coefficients)
+    exporter = EXPORTERS.find(format_name)
+    if exporter.distortion_coefficients is not None:
+        dataset = dataset.without_distortion(exporter.distortion_coefficients)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with fresh_folder(out) as folder:
-            placed = written(format_name, dataset, folder, images)
+            with EXPORTERS.guard(format_name):
+                placed = exporter.write(dataset, folder, images)
+                if not isinstance(placed, list) or len(placed) != len(dataset.frames):
+                    returned = f"{len(placed)} paths" if isinstance(placed, list) else f"a {type(placed).__name__}"
+                    raise ValueError(f"write returned {returned}, expected a list of {len(dataset.frames)} image paths")
             all_frames = _all_frames(dataset, placed)
             all_frames.to_csv(folder / _FRAMES, index=False)
             write_json(

@@ -119,6 +119,17 @@ class Dataset:
         """(N,) for formats that know training and test alone: validation frames are part of the training walks."""
         return (self.frames["split"] == "test").to_numpy()
 
+    def sequences(self) -> list[tuple[bool, np.ndarray]]:
+        """(for testing, rows in order of time) of each sequence, for formats in which one is wholly for training or for
+        testing: a session, or its part in a split."""
+        found = []
+        for session_id in sorted(self.frames["session_id"].unique()):
+            for test in (False, True):
+                rows = np.flatnonzero((self.frames["session_id"] == session_id) & (self.in_test == test))
+                if len(rows):
+                    found.append((test, rows[np.argsort(self.frames["t_ns"].to_numpy()[rows], kind="stable")]))
+        return found
+
     @property
     def undistorted(self) -> int:
         """How many images are written without distortion."""

@@ -58,14 +58,3 @@ class ModelExporter(Entry):
 
 
 MODEL_EXPORTERS = Registry("groundwalk.model_exporters", ModelExporter)
-
-
-def written(name: str, dataset: Dataset, folder: Path, images: Images) -> list[str]:
-    """Write a layout; PluginError where one of another package fails or doesn't say where it put the images."""
-    exporter = EXPORTERS.find(name)
-    with EXPORTERS.guard(name):
-        paths = exporter.write(dataset, folder, images)
-        if not isinstance(paths, list) or len(paths) != len(dataset.frames):
-            returned = f"{len(paths)} paths" if isinstance(paths, list) else f"a {type(paths).__name__}"
-            raise ValueError(f"write returned {returned}, expected a list of {len(dataset.frames)} image paths")
-    return paths

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from groundwalk.export.dataset import Dataset, Images, number
-from groundwalk.export.sequences import sequences
 from groundwalk.geometry.poses import Array
 
 
@@ -20,7 +19,7 @@ def write_seven_scenes(dataset: Dataset, folder: Path, images: Images) -> list[s
     intrinsics = dataset.frames[["fx", "fy", "cx", "cy"]].to_numpy(float)
     placed = [""] * len(dataset.frames)
     splits: dict[bool, list[str]] = {False: [], True: []}
-    for index, (test, rows) in enumerate(sequences(dataset), start=1):
+    for index, (test, rows) in enumerate(dataset.sequences(), start=1):
         splits[test].append(f"sequence{index}\n")
         sequence = folder / f"seq-{index:02d}"
         sequence.mkdir()

@@ -15,7 +15,6 @@ from torch import nn
 from typer.testing import CliRunner
 
 from groundwalk.export.__main__ import app
-from groundwalk.export.exporters import MODEL_EXPORTERS
 from groundwalk.export.phone import bundle, coreml, networks, quantisation
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.phone.quantisation import HeldOut, Measured
@@ -28,7 +27,8 @@ from groundwalk.store.tables import poses_of
 from groundwalk.training.build import Trained
 from groundwalk.training.definition import STAGE
 from groundwalk.training.models import anchored_mixture
-from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressors import REGRESSORS
 from tests.picture_wall import write_scene
 
@@ -66,7 +66,7 @@ def test_int8_is_a_quarter_and_no_file_is_unlisted(wall_bundle: Path) -> None:
     assert there == {*manifest["files"], "bundle.json"}
     assert manifest["quantisation"]["int8"]["milliseconds"] < manifest["quantisation"]["fp32"]["milliseconds"]
     text = (wall_bundle / "README.md").read_text()
-    assert "simulated" in text and "images 32x32" in text and "5 test frames" in text
+    assert "simulated" in text and "crop 32 instead of 224" in text and "5 test frames" in text
 
 
 def test_a_bundle_is_written_whole_or_not_at_all(
@@ -269,14 +269,16 @@ def test_a_network_that_int8_spoils_is_shipped_in_float32_alone(
 def test_what_stays_in_float32_is_stored_in_8_bits(
     wall_bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(quantisation._Trials, "search", lambda self: (kept := (*self.groups,)[1:], self.trial(kept)))
+    # One small group is computed in int8: the difference is that of weights stored in 8 bits. Integer convolutions of a
+    # network after two steps, whose answers are a tenth of its unit, differ by up to 8 % of the answer.
+    monkeypatch.setattr(quantisation._Trials, "search", lambda self: (kept := (*self.groups,)[:-1], self.trial(kept)))
     tensors = [np.random.default_rng(0).normal(size=(1, 3, 32, 32)).astype(np.float32)]
     held_out = HeldOut(tensors, np.full((1, 3), 1000.0), np.array([[0, 0, 0, 1.0]]))
     fp32, int8 = wall_bundle / "fp32.onnx", tmp_path / "int8.onnx"
     assert not quantisation.write_int8(fp32, int8, tensors, held_out).refusal
     assert int8.stat().st_size < 0.3 * fp32.stat().st_size
     answers = [open_session(file).run(["position"], {"image": tensors[0]})[0] for file in (fp32, int8)]
-    assert np.abs(answers[0] - answers[1]).max() < 0.1 * np.abs(answers[0]).max()
+    assert np.abs(answers[0] - answers[1]).max() < 0.05 * np.abs(answers[0]).max()
 
 
 def test_core_ml_is_left_out_with_a_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -285,19 +287,8 @@ def test_core_ml_is_left_out_with_a_reason(tmp_path: Path, monkeypatch: pytest.M
     assert coreml.write_coreml(trained, 32, 32, tmp_path) == coreml.NOT_INSTALLED
 
 
-def test_core_ml_has_the_network(trained_wall: Path, tmp_path: Path) -> None:
-    pytest.importorskip("coremltools")
-    trained = load_regressor(DataRoot(trained_wall), "tiny", "Wall", "PN").trained
-    assert coreml.write_coreml(trained, 32, 32, tmp_path) == ""
-    assert any((tmp_path / coreml.PACKAGE).rglob("*.mlmodel"))
-
-
 def test_sinc_and_cross_products_are_those_of_pytorch() -> None:
     a, b = torch.randn(2, 5, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     x = torch.cat([torch.linspace(-2, 2, 9, dtype=torch.float64), torch.tensor([1e-6, 0.0])])
     assert torch.allclose(coreml._sinc(x), torch.sinc(x), atol=1e-9)
     assert torch.allclose(coreml._cross(a, b), torch.linalg.cross(a, b))
-
-
-def test_the_format_is_an_entry() -> None:
-    assert MODEL_EXPORTERS["phone"].note == "bundle.json"
