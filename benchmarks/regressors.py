@@ -1,16 +1,15 @@
 """Regressors beside each other: `python -m benchmarks.regressors`.
 
 Trains each regressor alone, on the ground truth of finished runs (import, sfm, align), once a seed, and holds its
-answers to the test frames against it: errors, how honest its covariances are, and processor time. Then PN-Lite's
-settings, one at a time. What was trained stays in the folder `work`, so that a run that was stopped goes on. Writes
-docs/results/regressors.md and .csv; there a case that isn't trained anew keeps its rows, with their revision.
+answers to the test frames against it: errors, how honest its covariances are, and processor time. What was trained
+stays in the folder `work`, so that a run that was stopped goes on. Writes docs/results/regressors.md and .csv; there a
+case that isn't trained anew keeps its rows, with their revision.
 """
 
-import csv
 import json
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -21,7 +20,7 @@ import typer
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from benchmarks.results import circumstances, markdown_table
+from benchmarks.results import circumstances, markdown_table, write_page
 from benchmarks.stages import measure
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
 from groundwalk.store import DataRoot, UserError
@@ -34,19 +33,7 @@ from groundwalk.store.tables import poses_of, read_table
 app = new_app(__doc__ or "")
 
 MODELS = ("PN", "MS-T", "PN-Lite", "MST-Lite")
-ABLATED = "PN-Lite"
-# What is changed of PN-Lite's settings in each row of the second table.
-ABLATIONS: dict[str, tuple[str, ...]] = {
-    "square from the middle": ("whole_image=false",),
-    "not turned upright": ("upright=false",),
-    "turned by 8 degrees at most": ("turn_deg=[8, 3, 4]",),
-    "one pose instead of a mixture": ("components=1",),
-    "4 copies instead of 20": ("copies=4",),
-    "one head instead of three": ("heads=1",),
-    "as captured instead of one virtual pinhole": ("undistort=false",),
-}
 _NEEDED = ("import", "align")
-_STAGE_WIDE = ("undistort",)
 _DRAWS = 100
 FIGURES = {
     "position mean": "m",
@@ -151,11 +138,6 @@ def link(path: Path, target: Path) -> None:
         path.symlink_to(target.resolve(), target_is_directory=True)
 
 
-def ablation_settings(changes: Iterable[str]) -> list[str]:
-    """Settings of the stage: a change is one of PN-Lite's section, or of the whole stage."""
-    return [c if c.startswith(_STAGE_WIDE) else f"regressors.{ABLATED}.{c}" for c in changes]
-
-
 def table(cases: Mapping[str, Sequence[Training]]) -> str:
     """A row a case: each figure's mean over the seeds, with its range."""
     heads = [name for name in FIGURES if any(name in run.figures for runs in cases.values() for run in runs)]
@@ -190,12 +172,10 @@ def earlier(file: Path) -> Results:
 
 def together(before: Results, now: Results) -> Results:
     """All cases in the standard order: what was trained now, and where a case wasn't, what was trained before."""
-    order = [*MODELS, *(f"{ABLATED}, {name}" for name in ABLATIONS)]
     results: Results = {}
     for title in sorted({**now, **before}):
         cases = {**before.get(title, {}), **now.get(title, {})}
-        rank = {case: order.index(case) if case in order else len(order) for case in cases}
-        results[title] = {case: cases[case] for case in sorted(cases, key=lambda case: rank[case])}
+        results[title] = {case: cases[case] for case in sorted(cases, key=[*MODELS, *cases].index)}
     return results
 
 
@@ -203,7 +183,6 @@ def write(out: Path, profile: str, results: Results) -> None:
     """regressors.md and regressors.csv."""
     parts = [
         "# Regressors beside each other",
-        "",
         "Written by `make bench-regressors`. Each regressor is trained alone, on one processor core, with the settings "
         f"of profile `{profile}`, and asked about the test frames. Scenes without captures of their own are simulated. "
         "Cells are means over the seeds, with their range. In bounds: of the stated covariances, 95 %; the rank "
@@ -211,24 +190,18 @@ def write(out: Path, profile: str, results: Results) -> None:
         "covariances, which is what covariances of these sizes have that are exactly right. Processor seconds are of "
         "the whole stage: reading images, training and predicting. The revision is that of the code that trained the "
         "row; the one below that of the code that wrote the page.",
-        "",
         circumstances(),
     ]
-    rows = []
+    rows: list[tuple[object, ...]] = [("table", "case", "seed", "figure", "value", "unit", "revision")]
     for title, cases in results.items():
-        parts += ["", f"## {title}", "", table(cases)]
+        parts += [f"## {title}", table(cases)]
         for case, runs in cases.items():
             for run in runs:
                 rows += [
                     (title, case, run.seed, name, f"{value:.6g}", FIGURES[name], run.revision)
                     for name, value in run.figures.items()
                 ]
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "regressors.md").write_text("\n".join(parts) + "\n", encoding="utf-8")
-    with (out / "regressors.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("table", "case", "seed", "figure", "value", "unit", "revision"))
-        writer.writerows(rows)
+    write_page(out, "regressors", parts, rows)
 
 
 @app.command()
@@ -238,7 +211,6 @@ def main(
     profile: Annotated[str, typer.Option(help="profile of the runs")] = "demo",
     models: Annotated[str, typer.Option(help="regressors, separated by commas")] = ",".join(MODELS),
     seeds: Annotated[int, typer.Option(help="trainings of each case", min=1)] = 3,
-    ablations: Annotated[bool, typer.Option(help="PN-Lite's settings one at a time, too")] = True,
     work: Annotated[Path, typer.Option(help="folder for what is trained")] = Path("build/regressors"),
     out: Annotated[Path, typer.Option(help="folder for regressors.md and .csv")] = Path("docs/results"),
     train: Annotated[bool, typer.Option(help="train what isn't in the folder of trainings yet")] = True,
@@ -247,21 +219,15 @@ def main(
     root = DataRoot(data)
     results: Results = {}
     for scene in scenes.split(","):
-        cases = {model: (f'models=["{model}"]',) for model in models.split(",")}
-        changed = {
-            f"{ABLATED}, {name}": (f'models=["{ABLATED}"]', *ablation_settings(changes))
-            for name, changes in (ABLATIONS.items() if ablations else ())
-        }
-        for title, all_of_them in ((scene, cases), (f"{scene}: what {ABLATED}'s settings are worth", changed)):
-            for case, settings in all_of_them.items():
-                for seed in range(seeds):
-                    folder = work / f"{case.replace(' ', '-').replace(',', '')}-{seed}"
-                    if not train and not (folder / f"{scene}.json").exists():
-                        continue
-                    folder.mkdir(parents=True, exist_ok=True)
-                    training = trained(folder, root, scene, profile, seed, settings)
-                    results.setdefault(title, {}).setdefault(case, []).append(training)
-                    typer.echo(f"{scene}, {case}, seed {seed}: {json.dumps(training.figures)}")
+        for model in models.split(","):
+            for seed in range(seeds):
+                folder = work / f"{model}-{seed}"
+                if not train and not (folder / f"{scene}.json").exists():
+                    continue
+                folder.mkdir(parents=True, exist_ok=True)
+                training = trained(folder, root, scene, profile, seed, [f'models=["{model}"]'])
+                results.setdefault(scene, {}).setdefault(model, []).append(training)
+                typer.echo(f"{scene}, {model}, seed {seed}: {json.dumps(training.figures)}")
     write(out, profile, together(earlier(out / "regressors.csv"), results))
     typer.echo(f"{out / 'regressors.md'}; load {os.getloadavg()[0]:.1f}")
 

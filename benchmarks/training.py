@@ -6,8 +6,8 @@ makes. MS-T and the official code have the same batch, precision and dropout. Be
 products alone would take. Writes docs/results/training.md and .csv, of a GPU training-cuda.md and .csv.
 """
 
-import csv
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,14 +20,14 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.official_mst import CONFIG, official_model
-from benchmarks.results import circumstances, markdown_table
+from benchmarks.results import circumstances, markdown_table, write_page
 from groundwalk.store.cli import new_app
 from groundwalk.training.data import Frames, ImageCache, Jitter, View, normalised
 from groundwalk.training.loop import make_optimiser
 from groundwalk.training.models.ms_transformer import MSTransformer
 from groundwalk.training.models.regressor import PoseRegressor
-from groundwalk.training.precision import WORDS, Precision, gradient_step, seconds_on
 from groundwalk.training.regressors import REGRESSORS
+from groundwalk.training.steps import WORDS, Precision, gradient_step
 
 app = new_app(__doc__ or "")
 _CROP, _SHORT, _LONG, _IMAGES = 224, 256, 341, 16
@@ -43,7 +43,10 @@ class Timer:
     steps: int
 
     def now(self) -> float:
-        return seconds_on(self.device)
+        if self.device.type == "cpu":
+            return time.process_time()
+        torch.cuda.synchronize(self.device)
+        return time.perf_counter()
 
     def median_s(self, step: Callable[[], None]) -> float:
         """Of the steps after the first, which chooses kernels and allocates."""
@@ -119,7 +122,8 @@ def _ours(model: str, frames: Frames, precision: Precision, timer: Timer) -> Spe
     def step() -> None:
         start = timer.now()
         image, poses = frames.select(np.arange(batch)).training_crops(_VIEW, None, rng, timer.device)
-        image = normalised(Jitter(*settings.jitter).apply(image, rng)).contiguous(memory_format=torch.channels_last)
+        image = normalised(Jitter(*settings.training.jitter).apply(image, rng))
+        image = image.contiguous(memory_format=torch.channels_last)
         loading.append(timer.now() - start)
         gradient((image,), poses)
         optimiser.step()
@@ -209,16 +213,14 @@ def _write(out: Path, speeds: Sequence[Speed], notes: Sequence[str], device: tor
         [s.name, str(s.batch), s.precision, f"{s.images_per_s:.3g}", f"{100 * s.loading_fraction:.1f} %"]
         for s in speeds
     ]
-    with (out / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        per_second = f"images_per_{'processor_' if cpu else ''}second"
-        writer.writerow(["regressor", "batch", "precision", per_second, "loading_fraction", "run"])
-        writer.writerows([s.name, s.batch, s.precision, s.images_per_s, s.loading_fraction, about] for s in speeds)
+    per_second = f"images_per_{'processor_' if cpu else ''}second"
+    figures: list[list[object]] = [["regressor", "batch", "precision", per_second, "loading_fraction", "run"]]
+    figures += [[s.name, s.batch, s.precision, s.images_per_s, s.loading_fraction, about] for s in speeds]
     of = " of one core" if cpu else ""
     head = ["regressor", "batch", "precision", f"images a second{of}", "of it crops and colours"]
     title = _HEAD.format(command=f"make bench-training{'' if cpu else ' device=cuda'}", how=_HOW[device.type])
     sections = [title, about, markdown_table([head, *rows]), "\n".join(f"- {note}" for note in notes)]
-    (out / f"{name}.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+    write_page(out, name, sections, figures)
 
 
 _HOW = {"cpu": "one thread, by processor seconds", "cuda": "by the clock, crops made by one thread of the processor"}

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from groundwalk.training.data import View, normalised
-from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.poses import PoseBatch
 
 _IMAGES = 2
 _UNIT = 1e-3

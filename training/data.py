@@ -18,7 +18,7 @@ from groundwalk.geometry.gravity import upright_rotation, with_tilt_of_gravity
 from groundwalk.store.files import written_aside
 from groundwalk.store.images import Image
 from groundwalk.store.resizing import turned_crop
-from groundwalk.training.models.regressor import PoseBatch
+from groundwalk.training.poses import PoseBatch
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)

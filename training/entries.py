@@ -4,7 +4,6 @@ from groundwalk.store import colours
 from groundwalk.store.registry import Lazy
 from groundwalk.training.regressor_settings import (
     ADPoseNetSettings,
-    BayesianPoseNetSettings,
     DFNetSettings,
     LiteSettings,
     MapNetSettings,
@@ -40,7 +39,7 @@ BAYESIAN_PN = Regressor(
     label="Bayesian PN",
     meaning="PN with dropout at test time",
     colour=(0, 158, 115),
-    settings=BayesianPoseNetSettings,
+    settings=PoseNetSettings,
     make=Lazy("groundwalk.training.models.bayesian_posenet:make_bayesian_posenet"),
     multi_scene=False,
     gives_covariance=True,
@@ -93,6 +92,7 @@ PN_LITE = Regressor(
     colour=(90, 60, 150),
     settings=LiteSettings,
     make=Lazy("groundwalk.training.models.posenet_lite:make_posenet_lite"),
+    whole_image_px=120,
     multi_scene=False,
     gives_covariance=True,
 )
@@ -103,6 +103,7 @@ MST_LITE = Regressor(
     colour=(20, 110, 110),
     settings=MSTransformerLiteSettings,
     make=Lazy("groundwalk.training.models.ms_transformer_lite:make_ms_transformer_lite"),
+    whole_image_px=120,
     multi_scene=True,
     gives_covariance=True,
 )

@@ -11,7 +11,8 @@ from torch import Tensor
 from groundwalk.geometry.averages import quaternion_mean
 from groundwalk.geometry.poses import quaternion_angle
 from groundwalk.training.data import Frames, View
-from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.poses import PoseBatch
 
 _BATCH = 64
 

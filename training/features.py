@@ -12,9 +12,11 @@ from torch import Tensor
 from groundwalk.store.child import Report
 from groundwalk.store.files import written_aside
 from groundwalk.training.data import Frames, Jitter, Turns, View, normalised, pose_batch
-from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch
-from groundwalk.training.regressor_settings import LiteSettings
+from groundwalk.training.models.regressor import FrozenRegressor
+from groundwalk.training.poses import PoseBatch
+from groundwalk.training.regressor_settings import RegressorSettings
 
+COPIES = 20  # turned and re-coloured ones of each training image
 _BATCH = 32
 
 
@@ -46,7 +48,7 @@ def feature_cache(
     model: FrozenRegressor,
     training: Frames,
     view: View,
-    settings: LiteSettings,
+    settings: RegressorSettings,
     seed: int,
     report: Report,
 ) -> FeatureCache:
@@ -54,21 +56,21 @@ def feature_cache(
 
     A copy's randomness comes from (seed, copy).
     """
-    done, copies = folder / "quaternions.npy", settings.copies
+    done, copies = folder / "quaternions.npy", COPIES
     if not done.exists():
         folder.mkdir(parents=True, exist_ok=True)
         model.eval()
         device = next(model.parameters()).device
-        turns = Turns(*settings.turn_deg) if settings.turn_deg else Turns(0, 0, 0)
+        turns, jitter = Turns(*(settings.training.turn_deg or (0, 0, 0))), Jitter(*settings.training.jitter)
         files: list[NDArray[np.float16]] = []
         quaternions = []
         for copy in range(copies + 1):
             rng = np.random.default_rng([seed, copy])
-            angles, jitter = (turns, Jitter(*settings.jitter)) if copy else (Turns(0, 0, 0), Jitter(0, 0, 0, 0))
+            angles, colours = (turns, jitter) if copy else (Turns(0, 0, 0), Jitter(0, 0, 0, 0))
             for start in range(0, len(training), _BATCH):
                 rows = np.arange(start, min(start + _BATCH, len(training)))
                 image, poses = training.select(rows).training_crops(view, angles, rng, device)
-                image = normalised(jitter.apply(image, rng)).contiguous(memory_format=torch.channels_last)
+                image = normalised(colours.apply(image, rng)).contiguous(memory_format=torch.channels_last)
                 parts = model.features(image)
                 if not files:
                     shapes = [((copies + 1) * len(training), *part.shape[1:]) for part in parts]

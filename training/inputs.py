@@ -18,6 +18,8 @@ from groundwalk.training.data import Frames, ImageCache
 from groundwalk.training.models.regressor import MapPoints
 from groundwalk.training.settings import TrainSettings
 
+_HELD_OUT = 0.1  # share of each training session, where import marked none
+
 
 def read_frames(r: StageRun[TrainSettings]) -> pd.DataFrame:
     """Every frame of the run's scenes: import.frames with the ground truth of align, its quality class (null where
@@ -32,12 +34,12 @@ def read_frames(r: StageRun[TrainSettings]) -> pd.DataFrame:
         )
         frames.insert(0, "scene", scene)
         frames.insert(1, "scene_index", index)
-        frames["split"] = hold_out(frames, r.settings.val_fraction)
+        frames["split"] = hold_out(frames)
         tables.append(frames.sort_values(["session_id", "t_ns"]))
     return pd.concat(tables, ignore_index=True)
 
 
-def hold_out(frames: pd.DataFrame, fraction: float) -> "pd.Series[str]":
+def hold_out(frames: pd.DataFrame) -> "pd.Series[str]":
     """The frames' splits, with a block from the middle of each training session held out as `val` where none is.
 
     A block, since neighbours in time look nearly the same and would make every epoch look good.
@@ -47,7 +49,7 @@ def hold_out(frames: pd.DataFrame, fraction: float) -> "pd.Series[str]":
     if (split == "val").any() or len(trainable) < 2:
         return split
     for _, session in trainable.sort_values("t_ns").groupby("session_id"):
-        count = round(fraction * len(session))
+        count = round(_HELD_OUT * len(session))
         start = (len(session) - count) // 2
         split[session.index[start : start + count]] = "val"
     if not (split == "val").any():  # sessions too short for a block of their own

@@ -19,10 +19,10 @@ from groundwalk.store.hints import setting_of
 from groundwalk.training.data import Frames, Jitter, Turns, View, normalised
 from groundwalk.training.evaluation import errors, pose_errors
 from groundwalk.training.features import feature_cache
-from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch, PoseRegressor
-from groundwalk.training.precision import Precision, gradient_step
+from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
+from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressor_settings import RegressorSettings
-from groundwalk.training.steps import GradientStep
+from groundwalk.training.steps import GradientStep, Precision, gradient_step
 
 CHECKPOINT = "checkpoint.pt"
 _SCORED_EPOCHS = 5
@@ -42,7 +42,8 @@ class Run:
     view: View
     seed: int
     folder: Path
-    checkpoint_s: float = 0.0
+    checkpoint_s: float = 60.0
+    """least time between two checkpoints"""
 
 
 class Source(Protocol):
@@ -75,10 +76,11 @@ class ImageSource:
         pass
 
     def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], PoseBatch]:
-        turns = Turns(*self.settings.turn_deg) if self.settings.turn_deg else None
+        recipe = self.settings.training
+        turns = Turns(*recipe.turn_deg) if recipe.turn_deg else None
         rows = self.training.sequences(rows, *self.model.sequence())
         image, poses = self.training.select(rows).training_crops(self.run.view, turns, rng, self.run.device)
-        image = normalised(Jitter(*self.settings.jitter).apply(image, rng))
+        image = normalised(Jitter(*recipe.jitter).apply(image, rng))
         return (image.contiguous(memory_format=torch.channels_last),), poses
 
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -203,8 +205,8 @@ def train_epoch(
         for group in optimiser.param_groups:
             group["lr"] = rate
         losses.append(gradient(*source.batch(rows, rng)))
-        if settings.clip_gradient:
-            torch.nn.utils.clip_grad_norm_(model.parameters(), settings.clip_gradient)
+        if settings.training.clip_gradient:
+            torch.nn.utils.clip_grad_norm_(model.parameters(), settings.training.clip_gradient)
         optimiser.step()
     return torch.stack(losses).mean().item(), rate
 
@@ -220,7 +222,7 @@ def refuse_divergence(train_loss: float, rate: float, history: list[dict[str, An
         f"training {run.title} diverges: the loss {'grows' if finite else 'is not finite'}",
         where=f"last checkpoint before it: {checkpoint}" if checkpoint.exists() else None,
         found=f"{train_loss:.4g} in epoch {len(history) + 1} ({first:.4g} in the first), learning rate {rate:.2g}",
-        do=f"lower {setting_of(f'train.regressors.{run.title}', 'learning_rate')}, or set clip_gradient there",
+        do=f"lower {setting_of(f'train.regressors.{run.title}', 'learning_rate')}",
     )
 
 
@@ -247,22 +249,23 @@ def make_optimiser(model: PoseRegressor, settings: RegressorSettings) -> torch.o
     undecayed = model.undecayed()
     apart = {id(parameter) for parameter in undecayed}
     others = [parameter for parameter in model.parameters() if parameter.requires_grad and id(parameter) not in apart]
-    groups: list[dict[str, Any]] = [{"params": others, "weight_decay": settings.weight_decay}]
+    recipe = settings.training
+    groups: list[dict[str, Any]] = [{"params": others, "weight_decay": recipe.weight_decay}]
     if undecayed:
         groups.append({"params": undecayed, "weight_decay": 0.0})
-    kind = torch.optim.AdamW if settings.optimiser == "adamw" else torch.optim.Adam
-    return kind(groups, lr=settings.learning_rate, eps=settings.adam_eps, fused=True)
+    kind = torch.optim.AdamW if recipe.decoupled else torch.optim.Adam
+    return kind(groups, lr=settings.learning_rate, eps=recipe.adam_eps, fused=True)
 
 
 def learning_rate(settings: RegressorSettings, epochs: float) -> float:
     """The learning rate after so many epochs, a part of one included."""
-    if epochs < settings.warmup_epochs:
-        return settings.learning_rate * (epochs + 1e-2) / (settings.warmup_epochs + 1e-2)
-    if settings.schedule == "step":
-        return settings.learning_rate * settings.step_factor ** (epochs // settings.step_epochs)
-    if settings.schedule == "cosine":
-        done = (epochs - settings.warmup_epochs) / (settings.epochs - settings.warmup_epochs)
-        return settings.learning_rate * 0.5 * (1 + math.cos(math.pi * done))
+    warmup, schedule = settings.training.warmup_epochs, settings.training.schedule
+    if epochs < warmup:
+        return settings.learning_rate * (epochs + 1e-2) / (warmup + 1e-2)
+    if schedule == "thirds":
+        return settings.learning_rate * 0.1 ** (3 * epochs // settings.epochs)
+    if schedule == "cosine":
+        return settings.learning_rate * 0.5 * (1 + math.cos(math.pi * (epochs - warmup) / (settings.epochs - warmup)))
     return settings.learning_rate
 
 

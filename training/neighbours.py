@@ -9,9 +9,8 @@ differs from frame to frame; held-out frames say how large they are.
 import torch
 from torch import Tensor
 
-from groundwalk.training.models.regressor import PoseBatch
 from groundwalk.training.models.uncertainty import FLOOR, CovarianceScale, rotation_vector
-from groundwalk.training.rotations import as_matrix
+from groundwalk.training.poses import PoseBatch, as_matrix
 
 MIN_HELD_OUT = 4
 """With fewer held-out frames there is no covariance: no factor makes up for not knowing the errors' size."""

@@ -17,7 +17,9 @@ class Regressor(Entry):
 
     colour: of its poses in recordings. settings: its section [train.regressors.<id>]. multi_scene: one network can hold
     several scenes; others are left out of groups. gives_covariance: its `forward` fills PoseBatch.covariance_B66.
-    in_paper: one of the paper's, which are trained where settings name none.
+    in_paper: one of the paper's, which are trained where settings name none. whole_image_px: it sees the whole image,
+    with so many pixels on the shorter side, of the shape that most training images have, turned upright by the phone's
+    gravity; None: a square of [train] crop from its middle.
     """
 
     noun: ClassVar[str] = "regressor"
@@ -28,6 +30,7 @@ class Regressor(Entry):
     multi_scene: bool
     gives_covariance: bool
     in_paper: bool = False
+    whole_image_px: int | None = None
 
     def faults(self) -> Iterable[str]:
         yield from super().faults()

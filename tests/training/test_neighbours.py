@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from groundwalk.training.data import pose_batch
-from groundwalk.training.models.regressor import PoseBatch
 from groundwalk.training.models.uncertainty import rotation_vector, widening
-from groundwalk.training.neighbours import MIN_HELD_OUT, neighbour_covariances, scatter_sizes
+from groundwalk.training.neighbours import MIN_HELD_OUT, neighbour_covariances
+from groundwalk.training.poses import PoseBatch
 
 TRAINING, HELD_OUT, TEST = 400, 40, 400
 N = TRAINING + HELD_OUT + TEST
@@ -79,10 +79,3 @@ def test_alike_training_frames_give_positive_definite_covariances() -> None:
     rows = torch.arange(TRAINING), torch.arange(TRAINING, TRAINING + HELD_OUT)
     covariance = neighbour_covariances(torch.zeros_like(descriptor), same, same, *rows)
     assert covariance is not None and bool((torch.linalg.eigvalsh(covariance.double()) > 0).all())
-
-
-def test_a_frame_among_scattered_neighbours_is_uncertain() -> None:
-    descriptor, answers, truth = walk()
-    size = scatter_sizes(descriptor, answers, truth, torch.arange(TRAINING))
-    along = truth.position_B3[:, 0]
-    assert size[along > 15].mean() > 2 * size[along < 5].mean()

@@ -15,7 +15,8 @@ from groundwalk.store.images import read_image
 from groundwalk.store.manifests import load_manifest, output_hashes
 from groundwalk.store.resizing import pinhole_image
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import camera_of, dataset_frames, read_table, write_table
+from groundwalk.store.tables import camera_of, dataset_frames, pose_frame, read_table, write_table
+from groundwalk.training import inputs
 from groundwalk.training.build import load_trained
 from groundwalk.training.data import normalised, to_tensor
 from groundwalk.training.definition import STAGE
@@ -29,8 +30,7 @@ SMALL = [
     "regressors.PN.weights=scratch",
     "regressors.MS-T.epochs=1",
     "regressors.MS-T.weights=scratch",
-    "regressors.MS-T.encoder_layers=1",
-    "regressors.MS-T.decoder_layers=1",
+    "regressors.MS-T.layers=1",
 ]
 MakeScene = Callable[..., Path]
 
@@ -39,9 +39,13 @@ def table(folder: Path, name: str) -> pd.DataFrame:
     return pd.read_parquet(folder / f"{name}.parquet")
 
 
-def test_the_stage_predicts_every_frame_and_says_what_it_trained(make_scene: MakeScene) -> None:
+def test_the_stage_predicts_every_frame_and_says_what_it_trained(
+    make_scene: MakeScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PN says nothing of how sure it is; MS-T gets covariances from the held-out frames."""
+    monkeypatch.setattr(inputs, "_HELD_OUT", 0.45)
     data = make_scene()
-    folder = execute(STAGE, "Wall", "tiny", DataRoot(data), SMALL)
+    folder = execute(STAGE, "Wall", "tiny", DataRoot(data), [*SMALL, "regressors.MS-T.neighbour_covariances=true"])
     predictions, cards, history = (table(folder, name) for name in ("predictions", "models", "history"))
     frames = dataset_frames(pd.read_parquet(data / "runs/tiny/Wall/import/frames.parquet"))
     for model in ("PN", "MS-T"):
@@ -49,11 +53,14 @@ def test_the_stage_predicts_every_frame_and_says_what_it_trained(make_scene: Mak
         assert sorted(mine["frame_id"]) == sorted(frames["frame_id"])
         assert set(mine["split"]) == {"train", "val", "test"}
         assert (mine["inference_ms"] > 0).all()
-        assert mine["covariance"].isna().all()
+        assert mine["covariance"].isna().all() == (model == "PN")
+    covariance = np.stack(predictions["covariance"].dropna().tolist()).reshape(-1, 6, 6)
+    assert len(covariance) == len(frames) and all(is_covariance(matrix) for matrix in covariance)
     assert cards["model"].tolist() == ["PN", "MS-T"]
     assert cards["weights"].tolist() == ["scratch", "scratch"]
-    assert cards["train_frames"].tolist() == [9, 9] and cards["val_frames"].tolist() == [1, 1]
-    assert json.loads(cards["config"][1])["encoder_layers"] == 1
+    assert cards["reduced"][1] == "crop 32 instead of 224, epochs 1 instead of 600, layers 1 instead of 6"
+    assert cards["train_frames"].tolist() == [6, 6] and cards["val_frames"].tolist() == [4, 4]
+    assert json.loads(cards["config"][1])["layers"] == 1
     assert "1 encoder and 1 decoder" in cards["layers"][1]
     assert history.groupby("model")["selected"].sum().tolist() == [1, 1]
     figures = load_manifest(folder)["figures"]
@@ -82,22 +89,14 @@ def test_errors_in_a_map_without_metric_scale_are_not_given_in_metres(
     write_table(path, read_table(path, of).assign(scale_source="none"), of)
     manifest = path.parent / "manifest.json"
     write_json(manifest, load_manifest(path.parent) | {"outputs": output_hashes(path.parent)})
-    execute(STAGE, "Wall", "tiny", DataRoot(data), [*SMALL, 'models=["PN"]'])
+    frames = pd.read_parquet(data / "runs/tiny/Wall/import/frames.parquet")
+    pose = pose_frame("map_cam", np.tile(np.eye(4), (len(frames), 1, 1)))
+    pose.assign(model="mine", frame_id=frames["frame_id"]).to_parquet(data / "mine.parquet")
+    settings = ["models=[]", "predictions=['mine.parquet']", "resize=40", "crop=32"]
+    execute(STAGE, "Wall", "tiny", DataRoot(data), settings)
     said = capsys.readouterr().err
     assert "warning: Wall: NO METRIC SCALE: positions are in SfM's unit, not in metres" in said
-    assert re.search(r"mean-pose Wall: median [\d.]+ map units, ", said) and re.search(r"PN Wall: .* map units, ", said)
-
-
-def test_held_out_frames_give_the_paper_s_regressors_covariances(make_scene: MakeScene) -> None:
-    data = DataRoot(make_scene())
-    chosen = [f"regressors.{name}.neighbour_covariances=true" for name in ("PN", "MS-T")]
-    folder = execute(STAGE, "Wall", "tiny", data, [*SMALL, "val_fraction=0.45", *chosen])
-    predictions = table(folder, "predictions")
-    assert table(folder, "models")["val_frames"].tolist() == [4, 4]
-    covariance = np.stack(predictions["covariance"].tolist()).reshape(-1, 6, 6)
-    assert len(covariance) == len(predictions)
-    assert all(is_covariance(matrix) for matrix in covariance)
-    assert not [name for name in load_trained(folder / "weights" / "PN.pt").model.state_dict() if "covariance" in name]
+    assert all(re.search(rf"{of} Wall: median [\d.]+ map units, ", said) for of in ("mean-pose", "mine"))
 
 
 @pytest.mark.slow

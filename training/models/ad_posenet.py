@@ -10,12 +10,15 @@ from groundwalk.store import UserError
 from groundwalk.store.files import sha256_of
 from groundwalk.store.hints import setting_of
 from groundwalk.store.images import read_image
-from groundwalk.training.models.posenet import PoseNet, single_scene
-from groundwalk.training.models.regressor import PoseBatch
+from groundwalk.training.models.posenet import PoseNet, loss_weights, single_scene
 from groundwalk.training.models.resnet import FEATURES
 from groundwalk.training.models.uncertainty import CovarianceScale, mean_with_scatter
+from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressor_settings import ADPoseNetSettings, RegressorSettings
 
+SAMPLES = 10  # masks whose answers are averaged at test time
+PRIOR = 0.1  # probability that a pixel shows a moving object, where no image says
+THRESHOLD = 0.2
 _SIDE = 64  # of the prior, and of the noise that is repeated over larger images
 _SQUEEZED = FEATURES // 16
 
@@ -24,7 +27,7 @@ class ADPoseNet(PoseNet):
     """One scene's poses, as the mean over `samples` masks of the image, and their scatter as covariance.
 
     A pixel with the probability mu of showing a moving object is hidden where a draw from a normal distribution with
-    mean mu and deviation mu (1 - mu) isn't below `threshold`. The masks of testing are kept with the weights, so that
+    mean mu and deviation mu (1 - mu) isn't below THRESHOLD. The masks of testing are kept with the weights, so that
     an answer is the same each time.
     """
 
@@ -32,16 +35,9 @@ class ADPoseNet(PoseNet):
     noise: Tensor
 
     def __init__(
-        self,
-        samples: int,
-        prior: float,
-        threshold: float,
-        dropout: float = 0.5,
-        sx: float = 0.0,
-        sq: float = -3.0,
+        self, dropout: float = 0.5, sx: float = -3.0, sq: float = -3.0, samples: int = SAMPLES, prior: float = PRIOR
     ) -> None:
         super().__init__(dropout, sx, sq)
-        self.threshold = threshold
         squeeze, excite = nn.Linear(FEATURES, _SQUEEZED), nn.Linear(_SQUEEZED, FEATURES)
         self.channel_attention = nn.Sequential(squeeze, nn.ReLU(), excite, nn.Sigmoid())
         self.cell_attention = nn.Conv2d(FEATURES, 1, 1)
@@ -66,7 +62,7 @@ class ADPoseNet(PoseNet):
         """Masks (B, 1, H, W) of draws from the standard normal distribution: 0 hides a pixel."""
         size = normal_BHW.shape[-2:]
         mean = nn.functional.interpolate(self.prior[None, None], size, mode="bilinear", align_corners=False)[0]
-        return (mean + mean * (1 - mean) * normal_BHW < self.threshold).to(normal_BHW.dtype)[:, None]
+        return (mean + mean * (1 - mean) * normal_BHW < THRESHOLD).to(normal_BHW.dtype)[:, None]
 
     def _features(self, image_B3HW: Tensor) -> Tensor:
         maps: Tensor = self.backbone.maps(image_B3HW)
@@ -103,8 +99,8 @@ def _read_prior(path: Path) -> Tensor:
             where=path,
             expected=expected,
             found=error.details["found"],
-            do=f"correct {setting_of('train.regressors.AD-PoseNet', 'prior_image')}, or leave it out: then prior there "
-            "holds everywhere",
+            do=f"correct {setting_of('train.regressors.AD-PoseNet', 'prior_image')}, or leave it out: then one "
+            "probability holds everywhere",
         ) from None
     return nn.functional.adaptive_avg_pool2d(grey[None], _SIDE)[0]
 
@@ -112,4 +108,4 @@ def _read_prior(path: Path) -> Tensor:
 def make_ad_posenet(settings: ADPoseNetSettings, scenes: int, outdoor: bool) -> ADPoseNet:
     """AD-PoseNet with random weights."""
     single_scene("AD-PoseNet", scenes)
-    return ADPoseNet(settings.samples, settings.prior, settings.threshold, settings.dropout, settings.sx, settings.sq)
+    return ADPoseNet(settings.dropout, *loss_weights(settings))

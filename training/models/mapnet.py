@@ -3,34 +3,26 @@ maps for camera localization", CVPR 2018). Its pose graph at test time is fusion
 
 from torch import Tensor, nn
 
-from groundwalk.training.models.posenet import PoseNet, single_scene
-from groundwalk.training.models.regressor import LearnedWeights, PoseBatch
+from groundwalk.training.models.posenet import PoseNet, loss_weights, single_scene
+from groundwalk.training.models.regressor import LearnedWeights
+from groundwalk.training.poses import PoseBatch, log_quaternion
 from groundwalk.training.regressor_settings import MapNetSettings
-from groundwalk.training.rotations import log_quaternion
 
 
 class MapNet(PoseNet):
-    """PN, trained on sequences of `frames` images, `spacing` frames apart.
+    """PN, trained on sequences of three images of a session, one training frame apart.
 
     The loss adds, with learned weights of its own, that of the differences between each image's pose and the next's:
     of positions, and of log-quaternions, as the paper's eq. 3 and 4 have it.
     """
 
-    def __init__(
-        self,
-        frames: int,
-        spacing: int,
-        relative: LearnedWeights,
-        dropout: float = 0.5,
-        sx: float = 0.0,
-        sq: float = -3.0,
-    ) -> None:
+    def __init__(self, dropout: float = 0.5, sx: float = 0.0, sq: float = -3.0, frames: int = 3) -> None:
         super().__init__(dropout, sx, sq)
-        self.relative_weights = relative
-        self._sequence = frames, spacing
+        self.relative_weights = LearnedWeights(0.0, -3.0)
+        self._frames = frames
 
     def sequence(self) -> tuple[int, int]:
-        return self._sequence
+        return self._frames, 1
 
     def undecayed(self) -> list[nn.Parameter]:
         return [*super().undecayed(), *self.relative_weights.parameters()]
@@ -42,9 +34,7 @@ class MapNet(PoseNet):
         true_log_q = log_quaternion(true_quaternion)
         l1 = nn.functional.l1_loss
         absolute = self.loss_weights(l1(position, true_position), l1(log_q, true_log_q))
-        steps = [
-            x.unflatten(0, (-1, self._sequence[0])).diff(dim=1) for x in (position, true_position, log_q, true_log_q)
-        ]
+        steps = [x.unflatten(0, (-1, self._frames)).diff(dim=1) for x in (position, true_position, log_q, true_log_q)]
         relative: Tensor = self.relative_weights(l1(steps[0], steps[1]), l1(steps[2], steps[3]))
         return absolute + relative
 
@@ -52,7 +42,4 @@ class MapNet(PoseNet):
 def make_mapnet(settings: MapNetSettings, scenes: int, outdoor: bool) -> MapNet:
     """MapNet with random weights."""
     single_scene("MapNet", scenes)
-    relative = LearnedWeights(settings.relative_sx, settings.relative_sq)
-    return MapNet(
-        settings.sequence_frames, settings.sequence_spacing, relative, settings.dropout, settings.sx, settings.sq
-    )
+    return MapNet(settings.dropout, *loss_weights(settings))

@@ -5,7 +5,8 @@ from torch import Tensor, nn
 
 from groundwalk.training.models.dropout import Dropout, attention, dropped
 from groundwalk.training.models.efficientnet import REDUCTION_8_CHANNELS, REDUCTION_16_CHANNELS, EfficientNetB0
-from groundwalk.training.models.regressor import BackboneRegressor, PoseBatch
+from groundwalk.training.models.regressor import BackboneRegressor
+from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressor_settings import MSTransformerSettings
 
 WIDTH = 256
@@ -88,13 +89,13 @@ class Transformer(nn.Module):
     """Pre-norm encoder-decoder: feature map (B, C, H, W) and its places (HW, 256) to one vector (B, S, 256) a
     scene query."""
 
-    def __init__(self, channels: int, scenes: int, encoder_layers: int, decoder_layers: int, dropout: float) -> None:
+    def __init__(self, channels: int, scenes: int, layers: int, dropout: float) -> None:
         super().__init__()
         self.project = nn.Conv2d(channels, WIDTH, 1)
         self.queries = nn.Embedding(scenes, WIDTH)
-        self.encoder = nn.ModuleList(EncoderLayer(dropout) for _ in range(encoder_layers))
+        self.encoder = nn.ModuleList(EncoderLayer(dropout) for _ in range(layers))
         self.encoder_norm = nn.LayerNorm(WIDTH)
-        self.decoder = nn.ModuleList(DecoderLayer(dropout) for _ in range(decoder_layers))
+        self.decoder = nn.ModuleList(DecoderLayer(dropout) for _ in range(layers))
         self.decoder_norm = nn.LayerNorm(WIDTH)
         for layers in (self.encoder, self.decoder):
             for parameter in layers.parameters():
@@ -134,21 +135,14 @@ class MSTransformer(BackboneRegressor):
     backbone_url = "https://download.pytorch.org/models/efficientnet_b0_rwightman-7f5810bc.pth"
 
     def __init__(
-        self,
-        scenes: int = 1,
-        encoder_layers: int = 6,
-        decoder_layers: int = 6,
-        dropout: float = 0.1,
-        stochastic_depth: float = 0.2,
-        sx: float = -3.0,
-        sq: float = -6.5,
+        self, scenes: int = 1, layers: int = 6, dropout: float = 0.1, sx: float = -3.0, sq: float = -6.5
     ) -> None:
         super().__init__(scenes, sx, sq)
-        self.encoder_layers, self.decoder_layers = encoder_layers, decoder_layers
-        self.backbone = EfficientNetB0(stochastic_depth=stochastic_depth)
-        size = (scenes, encoder_layers, decoder_layers, dropout)
-        self.position_transformer = Transformer(REDUCTION_16_CHANNELS, *size)
-        self.rotation_transformer = Transformer(REDUCTION_8_CHANNELS, *size)
+        self.branch_layers = layers
+        # The authors' backbone drops its last block twice as often as their transformers drop features.
+        self.backbone = EfficientNetB0(stochastic_depth=min(0.2, 2 * dropout))
+        self.position_transformer = Transformer(REDUCTION_16_CHANNELS, scenes, layers, dropout)
+        self.rotation_transformer = Transformer(REDUCTION_8_CHANNELS, scenes, layers, dropout)
         self.row_embedding = nn.Embedding(MAX_CELLS, WIDTH // 2)
         self.column_embedding = nn.Embedding(MAX_CELLS, WIDTH // 2)
         nn.init.uniform_(self.row_embedding.weight)
@@ -157,7 +151,7 @@ class MSTransformer(BackboneRegressor):
         self.position_head, self.rotation_head = PoseHead(3), PoseHead(4)
 
     def layers(self) -> str:
-        return f"{self.encoder_layers} encoder and {self.decoder_layers} decoder layers a branch"
+        return f"{self.branch_layers} encoder and {self.branch_layers} decoder layers a branch"
 
     def _place(self, feature_map: Tensor) -> Tensor:
         """What the transformer adds to a map's cells (HW, 256): column embedding, then row embedding."""
@@ -220,14 +214,7 @@ class MSTransformer(BackboneRegressor):
 
 
 def make_ms_transformer(settings: MSTransformerSettings, scenes: int, outdoor: bool) -> MSTransformer:
-    """MS-T with random weights; the loss weights start as its authors' do outdoors and indoors."""
-    sx, sq = (-3.0, -6.5) if outdoor else (0.0, -3.0)
-    return MSTransformer(
-        scenes,
-        settings.encoder_layers,
-        settings.decoder_layers,
-        settings.dropout,
-        settings.stochastic_depth,
-        sx if settings.sx is None else settings.sx,
-        sq if settings.sq is None else settings.sq,
-    )
+    """MS-T with random weights; the loss weights start as the recipe says, or as its authors' do outdoors and
+    indoors."""
+    sx, sq = settings.training.loss_weights or ((-3.0, -6.5) if outdoor else (0.0, -3.0))
+    return MSTransformer(scenes, settings.layers, settings.dropout, sx, sq)

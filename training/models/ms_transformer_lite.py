@@ -5,13 +5,15 @@ from torch import Tensor, nn
 
 from groundwalk.training.models.efficientnet_lite import MAP_CHANNELS
 from groundwalk.training.models.ms_transformer import MAX_CELLS, WIDTH, DecoderLayer
-from groundwalk.training.models.posenet_lite import LiteRegressor, last_layers
-from groundwalk.training.models.regressor import PoseBatch
+from groundwalk.training.models.posenet_lite import COMPONENTS, LiteRegressor, last_layers
+from groundwalk.training.models.posenet_lite import WIDTH as SUMMARY
+from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressor_settings import MSTransformerLiteSettings
 
 # So many cells of a map, in a square, become one cell of its transformer.
 PATCH_8, PATCH_16 = 3, 2
 _DECODER_DROPOUT = 0.1
+_ATTENTION_DROPOUT = 0.5  # share of a training step's images that are answered without attention to maps
 
 
 class LiteTransformer(nn.Module):
@@ -21,20 +23,20 @@ class LiteTransformer(nn.Module):
     training time, in which more epochs gain more.
     """
 
-    def __init__(self, channels: int, patch: int, scenes: int, settings: MSTransformerLiteSettings) -> None:
+    def __init__(self, channels: int, patch: int, scenes: int, summary: int) -> None:
         super().__init__()
         self.patch = patch
         # `project` has weights of its own for each channel; without them no gradient goes through the map.
         self.norm = nn.BatchNorm2d(channels, affine=False)
         self.project = nn.Conv2d(channels, WIDTH, patch, patch)
         self.cells_norm = nn.LayerNorm(WIDTH)
-        self.start = nn.Linear(settings.width, WIDTH)
+        self.start = nn.Linear(summary, WIDTH)
         self.queries = nn.Embedding(scenes, WIDTH)
         self.row_embedding = nn.Embedding(MAX_CELLS, WIDTH)
         self.column_embedding = nn.Embedding(MAX_CELLS, WIDTH)
         for embedding in (self.row_embedding, self.column_embedding):
             nn.init.normal_(embedding.weight, std=0.02)
-        self.decoder = nn.ModuleList(DecoderLayer(_DECODER_DROPOUT) for _ in range(settings.decoder_layers))
+        self.decoder = DecoderLayer(_DECODER_DROPOUT)
         self.decoder_norm = nn.LayerNorm(WIDTH)
 
     def forward(self, feature_map: Tensor, summary: Tensor) -> Tensor:
@@ -49,22 +51,20 @@ class LiteTransformer(nn.Module):
         cells = self.cells_norm(patches.flatten(2).transpose(1, 2))
         query = self.queries.weight.expand(len(cells), -1, -1)
         scenes = self.start(summary)[:, None] + query
-        for layer in self.decoder:
-            scenes = layer(scenes, query, cells, place)
-        return self.decoder_norm(scenes)
+        return self.decoder_norm(self.decoder(scenes, query, cells, place))
 
 
 class AttentionHead(nn.Module):
     """A mixture's outputs from the summary and from what the queries found."""
 
-    def __init__(self, settings: MSTransformerLiteSettings) -> None:
+    def __init__(self, dropout: float, width: int, components: int) -> None:
         super().__init__()
-        self.from_summary = nn.Linear(settings.width, settings.width)
-        self.from_attention = nn.Linear(2 * WIDTH, settings.width)
+        self.from_summary = nn.Linear(width, width)
+        self.from_attention = nn.Linear(2 * WIDTH, width)
         # Attention only adds to what the summary tells, from nothing on.
         nn.init.zeros_(self.from_attention.weight)
         nn.init.zeros_(self.from_attention.bias)
-        self.layers = nn.Sequential(*last_layers(settings))
+        self.layers = nn.Sequential(*last_layers(dropout, width, components))
 
     def forward(self, summary: Tensor, attended: Tensor) -> Tensor:
         outputs: Tensor = self.layers(self.from_summary(summary) + self.from_attention(attended))
@@ -75,21 +75,20 @@ class MSTransformerLite(LiteRegressor):
     """A mixture of poses from the summary, as PN-Lite's, and from what a query a scene finds in the 1/16 and in the 1/8
     map; a classifier picks the scene."""
 
-    def __init__(self, scenes: int, settings: MSTransformerLiteSettings) -> None:
-        super().__init__(scenes, settings)
-        self.decoder_layers = settings.decoder_layers
-        self.summary_dropout = nn.Dropout(settings.dropout / 2)
+    def __init__(self, scenes: int, dropout: float = 0.3, width: int = SUMMARY, components: int = COMPONENTS) -> None:
+        super().__init__(scenes, width, components)
+        self.summary_dropout = nn.Dropout(dropout / 2)
         self.transformers = nn.ModuleList(
-            LiteTransformer(channels, patch, scenes, settings)
+            LiteTransformer(channels, patch, scenes, width)
             for channels, patch in ((MAP_CHANNELS[1], PATCH_16), (MAP_CHANNELS[0], PATCH_8))
         )
         self.scene_logit = nn.Linear(2 * WIDTH, 1)
-        self.summary_logits = nn.Linear(settings.width, scenes)
-        self.attention_dropout = nn.Dropout(settings.attention_dropout)
-        self.heads = nn.ModuleList(AttentionHead(settings) for _ in range(settings.heads))
+        self.summary_logits = nn.Linear(width, scenes)
+        self.attention_dropout = nn.Dropout(_ATTENTION_DROPOUT)
+        self.head = AttentionHead(dropout, width, components)
 
     def layers(self) -> str:
-        return f"{self.decoder_layers} decoder layers a map"
+        return "1 decoder layer a map"
 
     def features(self, image_B3HW: Tensor) -> tuple[Tensor, ...]:
         map_8, map_16, map_32 = self.maps(image_B3HW)
@@ -104,12 +103,12 @@ class MSTransformerLite(LiteRegressor):
         return summary, vectors, self.scene_logit(vectors).squeeze(-1) + self.summary_logits(summary)
 
     def _outputs(self, summary: Tensor, vectors_BSC: Tensor, scene_B: Tensor) -> Tensor:
-        """The heads' outputs (B, heads * components * OUTPUTS) from the summary and from the vectors of one scene a
-        sample."""
+        """The head's outputs (B, components * OUTPUTS) from the summary and from the vectors of one scene a sample."""
         vector = vectors_BSC.gather(1, scene_B[:, None, None].expand(-1, 1, 2 * WIDTH)).squeeze(1)
         # Of an image all attention is left out or none.
         attended = vector * self.attention_dropout(vector.new_ones(len(vector), 1))
-        return torch.cat([head(summary, attended) for head in self.heads], dim=1)
+        outputs: Tensor = self.head(summary, attended)
+        return outputs
 
     def answer(self, features: tuple[Tensor, ...]) -> PoseBatch:
         summary, vectors, logits = self._decode(features)
@@ -125,4 +124,4 @@ class MSTransformerLite(LiteRegressor):
 
 def make_ms_transformer_lite(settings: MSTransformerLiteSettings, scenes: int, outdoor: bool) -> MSTransformerLite:
     """MST-Lite with random weights."""
-    return MSTransformerLite(scenes, settings)
+    return MSTransformerLite(scenes, settings.dropout)

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from groundwalk.training.data import normalised
 from groundwalk.training.models.regressor import MapPoints
-from groundwalk.training.rotations import as_matrix
+from groundwalk.training.poses import as_matrix
 
 _NEAR_M = 0.3
 _NEARNESS = 4  # power of 1 / depth that a point counts by

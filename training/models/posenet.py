@@ -3,10 +3,10 @@
 import torch
 from torch import Tensor, nn
 
-from groundwalk.training.models.regressor import BackboneRegressor, PoseBatch
+from groundwalk.training.models.regressor import BackboneRegressor
 from groundwalk.training.models.resnet import FEATURES, ResNet34
-from groundwalk.training.regressor_settings import PoseNetSettings
-from groundwalk.training.rotations import exp_quaternion, log_quaternion
+from groundwalk.training.poses import PoseBatch, exp_quaternion, log_quaternion
+from groundwalk.training.regressor_settings import BackboneSettings, PoseNetSettings
 
 HIDDEN = 2048
 
@@ -68,7 +68,14 @@ def single_scene(name: str, scenes: int) -> None:
         raise ValueError(f"{name} holds one scene, not {scenes}")
 
 
+def loss_weights(settings: BackboneSettings) -> tuple[float, float]:
+    """The recipe's first log-variances of the position and the rotation loss."""
+    weights = settings.training.loss_weights
+    assert weights is not None, "PN's recipes state them"
+    return weights
+
+
 def make_posenet(settings: PoseNetSettings, scenes: int, outdoor: bool) -> PoseNet:
     """PN with random weights."""
     single_scene("PN", scenes)
-    return PoseNet(settings.dropout, settings.sx, settings.sq)
+    return PoseNet(settings.dropout, *loss_weights(settings))

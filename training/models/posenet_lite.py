@@ -6,13 +6,15 @@ import torch
 from torch import Tensor, nn
 
 from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
-from groundwalk.training.models.efficientnet_lite import MAP_CHANNELS, EfficientNetLite0
+from groundwalk.training.models.efficientnet_lite import MAP_CHANNELS, EfficientNetLite0, load_lite0
 from groundwalk.training.models.posenet import single_scene
-from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch, SceneFrames
+from groundwalk.training.models.regressor import FrozenRegressor, SceneFrames
 from groundwalk.training.models.uncertainty import CovarianceScale, resized
+from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressor_settings import LiteSettings, RegressorSettings
-from groundwalk.training.weights import load_lite0
 
+WIDTH = 256  # features after whitening, and in the hidden layers
+COMPONENTS = 32  # poses of the mixture
 # Rows and columns to which the maps of 1/16 and 1/32 are pooled.
 CELLS_16, CELLS_32 = (5, 7), (4, 5)
 _CELLS = CELLS_16[0] * CELLS_16[1], CELLS_32[0] * CELLS_32[1]
@@ -75,13 +77,12 @@ class Whitening(nn.Module):
         return (features_BF - self.mean) @ self.axes
 
 
-def last_layers(settings: LiteSettings) -> list[nn.Module]:
-    """The layers of a head after its first: a hidden one, and the outputs of its mixture."""
-    last = nn.Linear(settings.width, settings.components * OUTPUTS)
+def last_layers(dropout: float, width: int, components: int) -> list[nn.Module]:
+    """The layers of the head after its first: a hidden one, and the outputs of its mixture."""
+    last = nn.Linear(width, components * OUTPUTS)
     with torch.no_grad():
         last.weight *= 0.3  # the anchors themselves are a good first answer
-    hidden = nn.Linear(settings.width, settings.width)
-    return [nn.GELU(), nn.Dropout(settings.dropout), hidden, nn.GELU(), nn.Dropout(settings.dropout), last]
+    return [nn.GELU(), nn.Dropout(dropout), nn.Linear(width, width), nn.GELU(), nn.Dropout(dropout), last]
 
 
 class LiteRegressor(FrozenRegressor):
@@ -89,15 +90,15 @@ class LiteRegressor(FrozenRegressor):
 
     recordable = True
 
-    def __init__(self, scenes: int, settings: LiteSettings) -> None:
+    def __init__(self, scenes: int, width: int, components: int) -> None:
         super().__init__()
-        self.scenes, self.copies = scenes, settings.copies
+        self.scenes = scenes
         self.backbone = EfficientNetLite0().requires_grad_(False)
         self.channels = nn.ModuleList(map(ChannelComponents, _CHANNELS, _CHANNEL_WIDTHS))
         self.widths = [width * cells for width, cells in zip(_CHANNEL_WIDTHS, _CELLS, strict=True)]
-        self.whitening = Whitening(sum(self.widths), settings.width)
+        self.whitening = Whitening(sum(self.widths), width)
         self.frames = SceneFrames(scenes)
-        self.mixture = PoseMixture(scenes, settings.components, settings.heads)
+        self.mixture = PoseMixture(scenes, components)
         self.covariance_scale = CovarianceScale()
 
     def initialise(self, poses: PoseBatch, settings: RegressorSettings, downloads: Path) -> str:
@@ -143,7 +144,7 @@ class LiteRegressor(FrozenRegressor):
         )
 
     def mixed(self, outputs: Tensor, scene_B: Tensor) -> PoseBatch:
-        """The poses in the map frame of the heads' outputs.
+        """The poses in the map frame of the head's outputs.
 
         Covariances have the shape of the mixture's, and the size of `error_sizes`.
         """
@@ -170,30 +171,24 @@ class LiteRegressor(FrozenRegressor):
 class PoseNetLite(LiteRegressor):
     """One scene's poses from the whitened features, through two hidden layers."""
 
-    def __init__(self, settings: LiteSettings) -> None:
-        super().__init__(1, settings)
-        width = settings.width
-        self.heads = nn.ModuleList(
-            nn.Sequential(nn.Dropout(settings.dropout / 2), nn.Linear(width, width), *last_layers(settings))
-            for _ in range(settings.heads)
-        )
-
-    def _outputs(self, summary: Tensor) -> Tensor:
-        return torch.cat([head(summary) for head in self.heads], dim=1)
+    def __init__(self, dropout: float = 0.3, width: int = WIDTH, components: int = COMPONENTS) -> None:
+        super().__init__(1, width, components)
+        first = nn.Dropout(dropout / 2), nn.Linear(width, width)
+        self.head = nn.Sequential(*first, *last_layers(dropout, width, components))
 
     def features(self, image_B3HW: Tensor) -> tuple[Tensor, ...]:
         _, map_16, map_32 = self.maps(image_B3HW)
         return (self.pooled(map_16, map_32),)
 
     def answer(self, features: tuple[Tensor, ...]) -> PoseBatch:
-        outputs = self._outputs(features[0])
+        outputs = self.head(features[0])
         return self.mixed(outputs, torch.zeros(len(outputs), dtype=torch.long, device=outputs.device))
 
     def feature_loss(self, features: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
-        return self.mixture_loss(self._outputs(features[0]), poses)
+        return self.mixture_loss(self.head(features[0]), poses)
 
 
 def make_posenet_lite(settings: LiteSettings, scenes: int, outdoor: bool) -> PoseNetLite:
     """PN-Lite with random weights."""
     single_scene("PN-Lite", scenes)
-    return PoseNetLite(settings)
+    return PoseNetLite(settings.dropout)

@@ -7,22 +7,9 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from groundwalk.training.poses import PoseBatch, canonical, conjugate, multiply
 from groundwalk.training.regressor_settings import BackboneSettings, RegressorSettings
-from groundwalk.training.rotations import canonical, conjugate, multiply
 from groundwalk.training.weights import load_first_weights
-
-
-class PoseBatch(NamedTuple):
-    """Camera poses map_T_cam of a batch: positions (m), unit xyzw quaternions, and the index of each one's scene.
-
-    covariance_B66: of each pose's error in the map frame, rotation (rad) then translation (m), from a regressor that
-    gives one.
-    """
-
-    position_B3: Tensor
-    quaternion_B4: Tensor
-    scene_B: Tensor
-    covariance_B66: Tensor | None = None
 
 
 class MapPoints(NamedTuple):
@@ -219,7 +206,8 @@ class BackboneRegressor(PoseRegressor):
         if not isinstance(settings, BackboneSettings):
             raise TypeError(f"{type(settings).__name__} isn't a BackboneSettings")
         origin = load_first_weights(self.backbone, self.backbone_url, settings.weights, downloads)
-        self.frames.fit(poses, settings.normalise_position, settings.centre_rotation)
+        normalise = settings.training.normalise
+        self.frames.fit(poses, normalise, normalise)
         return origin
 
     def undecayed(self) -> list[nn.Parameter]:

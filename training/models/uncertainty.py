@@ -6,8 +6,8 @@ from scipy.special import fdtri
 from torch import Tensor, nn
 
 from groundwalk.scoring.errors import BOUND_95
-from groundwalk.training.models.regressor import PoseBatch, SceneFrames
-from groundwalk.training.rotations import as_matrix, conjugate, exp_quaternion, log_quaternion, multiply
+from groundwalk.training.models.regressor import SceneFrames
+from groundwalk.training.poses import PoseBatch, as_matrix, conjugate, exp_quaternion, log_quaternion, multiply
 
 _MIN_FRAMES = 3  # from which on errors of three axes have a covariance
 _QUANTILE = 0.9

@@ -17,9 +17,9 @@ from groundwalk.training.data import IMAGENET_MEAN, IMAGENET_STD
 from groundwalk.training.definition import STAGE
 from groundwalk.training.models.dfnet import DFNet, triplet_loss
 from groundwalk.training.models.point_renderer import PointRenderer
-from groundwalk.training.models.regressor import MapPoints, PoseBatch
+from groundwalk.training.models.regressor import MapPoints
+from groundwalk.training.poses import PoseBatch, log_quaternion
 from groundwalk.training.regressor_settings import DFNetSettings
-from groundwalk.training.rotations import log_quaternion
 from tests.synthetic_walks import filled
 
 RED, GREEN = [1.0, 0, 0], [0, 1.0, 0]
@@ -45,11 +45,6 @@ def test_points_lie_where_the_pinhole_sees_them() -> None:
     assert torch.allclose(turned[0, 11:13, 19:21], torch.ones(2, 2), atol=0.1)
 
 
-def test_near_points_outweigh_those_behind_and_what_is_behind_the_camera_is_not_seen() -> None:
-    image = rendered([[0.0, 0, 2], [0, 0, 8], [0, 0, -2]], [RED, GREEN, [0, 0, 1.0]], torch.zeros(1, 3))
-    assert image[0, 10, 15] > 0.9 and image[1, 10, 15] < 0.05 and float(image[2].max()) < 1e-3
-
-
 def test_pixels_without_points_take_the_colours_around() -> None:
     image = rendered([[-4.0, 0, 5], [4, 0, 5]], [RED, GREEN], torch.zeros(1, 3))
     assert float(image.sum(0).min()) > 0.3
@@ -59,7 +54,7 @@ def test_pixels_without_points_take_the_colours_around() -> None:
 def small_dfnet() -> tuple[DFNet, PoseBatch]:
     """With a cloud of coloured points in front of four cameras."""
     torch.manual_seed(0)
-    model = DFNet(DFNetSettings(points=3000, matching_from=0))
+    model = DFNet(DFNetSettings(matching_from=0), points=3000)
     ahead = torch.tensor([0.0, 0, 6])
     model.see_map(MapPoints(torch.rand(3000, 3) * torch.tensor([12.0, 8, 4]) - 4 + ahead, torch.rand(3000, 3), 40.0))
     poses = PoseBatch(torch.randn(4, 3) * 0.3, AHEAD.repeat(4, 1), torch.zeros(4, dtype=torch.long))
@@ -84,7 +79,7 @@ def test_matching_pulls_the_estimated_pose_towards_the_true_one() -> None:
 
 def test_matching_begins_after_some_steps() -> None:
     model, poses = small_dfnet()
-    model.settings = DFNetSettings(points=3000, matching_from=2)
+    model.matching_from = 2
     calls = []
     model._matching_loss = lambda *_: calls.append(int(model.steps)) or torch.zeros(())  # type: ignore[method-assign, func-returns-value]
     for _ in range(4):
@@ -113,11 +108,8 @@ def test_triplet_loss_takes_the_hardest_of_four_negatives() -> None:
 @pytest.mark.slow
 def test_the_stage_gives_it_the_map(make_scene: Callable[..., Path]) -> None:
     data = DataRoot(make_scene())
-    small = ["models=['DFNet']", "resize=40", "crop=32", "device=cpu", "threads=1"]
-    small += [
-        f"regressors.DFNet.{s}"
-        for s in ("epochs=1", "weights='scratch'", "points=100", "matching_from=0", "precision='fp32'")
-    ]
+    small = ["models=['DFNet']", "resize=40", "crop=32", "device=cpu"]
+    small += [f"regressors.DFNet.{s}" for s in ("epochs=1", "weights='scratch'", "matching_from=0")]
     with pytest.raises(UserError, match="stage sfm of scene Wall hasn't been run"):
         execute(STAGE, "Wall", "tiny", data, small)
     folder = data.run("tiny", "Wall", "sfm")

@@ -4,14 +4,18 @@ import pytest
 import torch
 from torch import nn
 
-from groundwalk.training.checks import check_regressor
-from groundwalk.training.data import View
+from groundwalk.training.models.ad_posenet import ADPoseNet
+from groundwalk.training.models.bayesian_posenet import BayesianPoseNet
+from groundwalk.training.models.coordinet import CoordiNet
+from groundwalk.training.models.dfnet import DFNet
 from groundwalk.training.models.efficientnet import EfficientNetB0
+from groundwalk.training.models.mapnet import MapNet
 from groundwalk.training.models.ms_transformer import MSTransformer
 from groundwalk.training.models.posenet import PoseNet
-from groundwalk.training.models.regressor import BackboneRegressor, PoseBatch
+from groundwalk.training.models.regressor import BackboneRegressor
 from groundwalk.training.models.resnet import ResNet34
-from groundwalk.training.regressors import REGRESSORS
+from groundwalk.training.poses import PoseBatch
+from groundwalk.training.regressor_settings import DFNetSettings
 
 
 def some_poses(count: int, scenes: int = 1) -> PoseBatch:
@@ -26,7 +30,7 @@ def images(count: int, side: int = 32) -> torch.Tensor:
 
 def small_mst(scenes: int = 1) -> MSTransformer:
     torch.manual_seed(0)
-    return MSTransformer(scenes, encoder_layers=1, decoder_layers=1)
+    return MSTransformer(scenes, layers=1)
 
 
 @pytest.mark.parametrize(("model", "mib"), [(PoseNet, 85.3), (MSTransformer, 70.9)])
@@ -75,24 +79,17 @@ def test_backbones_have_the_layout_of_torchvision(
     assert all(m.eps == 1e-5 for m in backbone.modules() if isinstance(m, nn.BatchNorm2d))
 
 
-def test_feature_maps_of_224_pixels() -> None:
-    map_8, map_16 = EfficientNetB0().eval().maps(torch.zeros(1, 3, 224, 224))
-    assert map_8.shape == (1, 40, 28, 28)
-    assert map_16.shape == (1, 112, 14, 14)
-
-
 def small(name: str) -> BackboneRegressor:
-    """A regressor of one scene as its defaults have it, but with pairs of images and three masks."""
-    fewer = {
-        "MapNet": {"sequence_frames": 2},
-        "PN-Bayesian": {"samples": 3},
-        "AD-PoseNet": {"samples": 3},
-        "DFNet": {"points": 50, "matching_from": 0},
-    }
+    """A regressor of one scene, but with pairs of images, three masks and few points."""
     torch.manual_seed(0)
-    model = REGRESSORS[name].make(REGRESSORS[name].settings(**fewer.get(name, {})), 1, False)
-    assert isinstance(model, BackboneRegressor)
-    return model
+    made: dict[str, Callable[[], BackboneRegressor]] = {
+        "MapNet": lambda: MapNet(frames=2),
+        "PN-Bayesian": lambda: BayesianPoseNet(samples=3),
+        "AD-PoseNet": lambda: ADPoseNet(samples=3),
+        "CoordiNet": CoordiNet,
+        "DFNet": lambda: DFNet(DFNetSettings(matching_from=0), points=50),
+    }
+    return made[name]()
 
 
 OF_PN = ["MapNet", "PN-Bayesian", "AD-PoseNet", "CoordiNet", "DFNet"]
@@ -129,12 +126,6 @@ def test_both_signs_of_a_quaternion_are_the_same_rotation(model: BackboneRegress
     assert torch.allclose(losses[0], losses[1])
 
 
-@pytest.mark.parametrize("name", OF_PN)
-def test_defaults_pass_the_check_before_training(name: str) -> None:
-    entry = REGRESSORS[name]
-    check_regressor(entry.make(entry.settings(), 1, False), 1, View(64, 64), entry.gives_covariance)
-
-
 @pytest.mark.parametrize("name", ["PN-Bayesian", "AD-PoseNet", "CoordiNet"])
 def test_covariances_are_in_the_axes_of_the_map(name: str) -> None:
     """Symmetric and positive; a turn of the network's frame turns them, its scale scales them."""
@@ -149,20 +140,6 @@ def test_covariances_are_in_the_axes_of_the_map(name: str) -> None:
     quarter = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).double()
     assert torch.allclose(turned[:, :3, :3], quarter @ plain[:, :3, :3] @ quarter.T, rtol=2e-3, atol=1e-6)
     assert torch.allclose(turned[:, 3:, 3:], 9 * plain[:, 3:, 3:], rtol=2e-3, atol=2e-5)
-
-
-def test_learned_weights_balance_the_losses() -> None:
-    """At exp(sx) = Lx the derivative by sx vanishes, and likewise for sq."""
-    model = PoseNet()
-    position, rotation = torch.tensor(1.7), torch.tensor(0.03)
-    with torch.no_grad():
-        model.loss_weights.sx.copy_(position.log())
-        model.loss_weights.sq.copy_(rotation.log())
-    model.loss_weights(position, rotation).backward()
-    assert model.loss_weights.sx.grad is not None
-    assert float(model.loss_weights.sx.grad) == pytest.approx(0, abs=1e-6)
-    assert model.loss_weights.sq.grad is not None
-    assert float(model.loss_weights.sq.grad) == pytest.approx(0, abs=1e-6)
 
 
 def test_scene_is_the_true_one_in_training_and_the_likeliest_in_testing(monkeypatch: pytest.MonkeyPatch) -> None:

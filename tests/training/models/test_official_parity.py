@@ -10,7 +10,7 @@ from torch import nn
 from benchmarks.official_mst import GivenMaps, copy_weights, official_model
 from groundwalk.store import UserError
 from groundwalk.training.models.ms_transformer import MSTransformer
-from groundwalk.training.models.regressor import PoseBatch
+from groundwalk.training.poses import PoseBatch
 
 SCENES, BATCH = 3, 2
 

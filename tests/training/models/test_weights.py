@@ -38,7 +38,7 @@ def test_a_file_of_another_network_is_refused(tmp_path: Path) -> None:
         fill(PoseNet(), str(path), tmp_path)
     torch.save(ResNet34(classes=1000).state_dict(), path)
     with pytest.raises(UserError, match=r"another network[\s\S]*missing"):
-        fill(MSTransformer(encoder_layers=1, decoder_layers=1), str(path), tmp_path)
+        fill(MSTransformer(layers=1), str(path), tmp_path)
     torch.save([1, 2], path)
     with pytest.raises(UserError, match="no state dict"):
         fill(PoseNet(), str(path), tmp_path)
@@ -60,9 +60,7 @@ def test_weights_that_cannot_be_fetched(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_a_weights_file_of_another_version_or_cut_short_says_so(tmp_path: Path) -> None:
     file = tmp_path / "PN-Lite.pt"
-    settings = LiteSettings(width=16, components=4)
-    model = PoseNetLite(settings)
-    save_trained(file, "PN-Lite", settings, Trained(model, ["Church"], 120, 120, None, 160, True))
+    save_trained(file, "PN-Lite", LiteSettings(), Trained(PoseNetLite(), ["Church"], 120, 120, None, 160, True))
     assert load_trained(file).width == 160
     content = torch.load(file, weights_only=True)
     del content["state"]["whitening.axes"]

@@ -4,7 +4,8 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.regressors import Regressor
 

@@ -1,13 +1,28 @@
-"""Rotations inside the networks: xyzw quaternions as tensors and their logarithms.
+"""Poses and rotations inside the networks: xyzw quaternions as tensors and their logarithms.
 
 The logarithm of a unit quaternion (v, w) with w >= 0 is the axis times half the rotation angle, at most pi/2 long
 (the rotation code of MapNet, Brahmbhatt et al., 2018).
 """
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 _SMALL = 1e-4
+
+
+class PoseBatch(NamedTuple):
+    """Camera poses map_T_cam of a batch: positions (m), unit xyzw quaternions, and the index of each one's scene.
+
+    covariance_B66: of each pose's error in the map frame, rotation (rad) then translation (m), from a regressor that
+    gives one.
+    """
+
+    position_B3: Tensor
+    quaternion_B4: Tensor
+    scene_B: Tensor
+    covariance_B66: Tensor | None = None
 
 
 def canonical(q_B4: Tensor) -> Tensor:

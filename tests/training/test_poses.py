@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from groundwalk.training.rotations import conjugate, exp_quaternion, log_quaternion, multiply
+from groundwalk.training.poses import conjugate, exp_quaternion, log_quaternion, multiply
 
 numbers = st.floats(-1, 1, allow_subnormal=False)
 quaternions = st.tuples(*[numbers] * 4).filter(lambda q: sum(x * x for x in q) > 1e-2)
