@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import cycle
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -125,10 +125,12 @@ def choose_device(wanted: str) -> torch.device:
     return torch.device("cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu")
 
 
-def choose_precision(wanted: str, settings: RegressorSettings, device: torch.device) -> Precision:
+def choose_precision(
+    wanted: Literal["auto", "fp32", "bf16"], settings: RegressorSettings, device: torch.device
+) -> Precision:
     """The precision to train in; "auto": bfloat16 where the recipe allows it and the processor has units for its
     products."""
-    if wanted == "fp32" or wanted == "bf16":
+    if wanted != "auto":
         return wanted
     if device.type == "cuda":
         has_units = torch.cuda.is_bf16_supported(including_emulation=False)

@@ -97,10 +97,9 @@ class Transformer(nn.Module):
         self.encoder_norm = nn.LayerNorm(WIDTH)
         self.decoder = nn.ModuleList(DecoderLayer(dropout) for _ in range(layers))
         self.decoder_norm = nn.LayerNorm(WIDTH)
-        for layers in (self.encoder, self.decoder):
-            for parameter in layers.parameters():
-                if parameter.dim() > 1:
-                    nn.init.xavier_uniform_(parameter)
+        for parameter in (*self.encoder.parameters(), *self.decoder.parameters()):
+            if parameter.dim() > 1:
+                nn.init.xavier_uniform_(parameter)
 
     def forward(self, feature_map: Tensor, place: Tensor) -> Tensor:
         cells = self.project(feature_map).flatten(2).transpose(1, 2)
