@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from groundwalk.training.models.dropout import Dropout, attention, dropped
+from groundwalk.training.models.attention import attention
 from groundwalk.training.models.efficientnet import REDUCTION_8_CHANNELS, REDUCTION_16_CHANNELS, EfficientNetB0
 from groundwalk.training.models.regressor import BackboneRegressor
 from groundwalk.training.poses import PoseBatch
@@ -18,7 +18,7 @@ MAX_CELLS = 50  # rows or columns of a feature map that have an embedding
 
 class FeedForward(nn.Sequential):
     def __init__(self, dropout: float) -> None:
-        super().__init__(nn.Linear(WIDTH, FEED_FORWARD), nn.GELU(), Dropout(dropout), nn.Linear(FEED_FORWARD, WIDTH))
+        super().__init__(nn.Linear(WIDTH, FEED_FORWARD), nn.GELU(), nn.Dropout(dropout), nn.Linear(FEED_FORWARD, WIDTH))
 
 
 class Attention(nn.MultiheadAttention):
@@ -44,7 +44,7 @@ class Attention(nn.MultiheadAttention):
         q = nn.functional.linear(query, to_q, of_q).unflatten(-1, (HEADS, -1)) * self.head_dim**-0.5
         q = torch.einsum("bshd,hdc->bshc", q, to_k.unflatten(0, (HEADS, -1)))
         weights = (q.flatten(1, 2) @ key.transpose(1, 2)).softmax(-1)
-        weights = dropped(weights, self.dropout, self.training)
+        weights = nn.functional.dropout(weights, self.dropout, self.training)
         sums = weights.sum(-1).view(*query.shape[:2], HEADS, 1)
         attended = (weights.to(value.dtype) @ value).view(*query.shape[:2], HEADS, -1)
         attended = torch.einsum("bshc,hdc->bshd", attended, to_v.unflatten(0, (HEADS, -1)))
@@ -59,7 +59,7 @@ class EncoderLayer(nn.Module):
         self.attention = Attention(dropout)
         self.feed_forward = FeedForward(dropout)
         self.norm1, self.norm2 = nn.LayerNorm(WIDTH), nn.LayerNorm(WIDTH)
-        self.dropout = Dropout(dropout)
+        self.dropout = nn.Dropout(dropout)
 
     def forward(self, cells: Tensor, place: Tensor) -> Tensor:
         x = self.norm1(cells)
@@ -75,7 +75,7 @@ class DecoderLayer(nn.Module):
         self.self_attention, self.cross_attention = Attention(dropout), Attention(dropout)
         self.feed_forward = FeedForward(dropout)
         self.norm1, self.norm2, self.norm3 = (nn.LayerNorm(WIDTH) for _ in range(3))
-        self.dropout = Dropout(dropout)
+        self.dropout = nn.Dropout(dropout)
 
     def forward(self, scenes: Tensor, query: Tensor, cells: Tensor, place: Tensor) -> Tensor:
         x = self.norm1(scenes)

@@ -1,8 +1,8 @@
-"""Dropout that costs little on a CPU.
+"""Attention with dropout that costs little on a CPU.
 
 PyTorch draws one random number after the other there, and keeps attention's weights of all heads in memory several
 times over: with 784 cells most of a transformer's training step. Here what is left out is decided by bytes that are
-made from the element's number and a seed, so that an element is left out with a probability of a whole 256th, the
+made from the weight's number and a seed, so that a weight is left out with a probability of a whole 256th, the
 nearest, and the gradient makes them again instead of keeping them; and attention goes by as many heads at a time as a
 core's cache holds, one at least, their weights made again for the gradient, too (Dao et al., 2022, do so block by
 block). Of the weights everything but the products is done in one compiled pass over each row. Weights are powers of 2,
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 from groundwalk.store.compiled import Function, compiled_and_kept
 
@@ -32,21 +32,6 @@ def _compiled(function: Function) -> Function:
     return compiled_and_kept(function, fastmath=_FASTMATH)
 
 
-class Dropout(nn.Dropout):
-    """As nn.Dropout, on a CPU by other random numbers, which torch.manual_seed sets as well."""
-
-    def forward(self, x: Tensor) -> Tensor:
-        return dropped(x, self.p, self.training)
-
-
-def dropped(x: Tensor, probability: float, training: bool) -> Tensor:
-    """As nn.functional.dropout, in the same way."""
-    if not training or probability == 0 or x.device.type != "cpu":
-        return nn.functional.dropout(x, probability, training)
-    left: Tensor = _Dropped.apply(x, probability, _seed())
-    return left
-
-
 def attention(query: Tensor, key: Tensor, value: Tensor, probability: float) -> Tensor:
     """Attended values (..., N, D) of queries (..., N, D), keys and values (..., M, D), on a CPU; the softmax's weights
     are left out with that probability, and the others scaled so that the mean stays. Computed in float32."""
@@ -55,17 +40,6 @@ def attention(query: Tensor, key: Tensor, value: Tensor, probability: float) -> 
     heads = [x.float().flatten(0, -3).contiguous() for x in (scaled, key, value)]
     attended: Tensor = _Attention.apply(*heads, probability, _seed())
     return attended.view(query.shape).to(query.dtype)
-
-
-class _Dropped(torch.autograd.Function):
-    @staticmethod
-    def forward(context: Any, x: Tensor, probability: float, seed: int) -> Tensor:
-        context.probability, context.seed = probability, seed
-        return _without_some(x, probability, seed)
-
-    @staticmethod
-    def backward(context: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
-        return _without_some(gradient, context.probability, context.seed), None, None
 
 
 class _Attention(torch.autograd.Function):
@@ -115,14 +89,6 @@ def _parts(q: Tensor, k: Tensor, matrices: int) -> Iterator[Any]:
     for start in range(0, len(q), count):
         heads = slice(start, min(start + count, len(q)))
         yield heads, *(matrix[: heads.stop - start] for matrix in kept)
-
-
-def _without_some(x: Tensor, probability: float, seed: int) -> Tensor:
-    left = x.detach().clone(memory_format=torch.contiguous_format)
-    # As whole numbers, which numpy has of all sizes: 0 is 0 in each.
-    bits = left.view({2: torch.int16, 4: torch.int32, 8: torch.int64}[x.element_size()])
-    _leave_out(bits.view(-1).numpy(), seed, _limit(probability))
-    return left.mul_(_scale(probability))
 
 
 def _seed() -> int:
@@ -205,15 +171,3 @@ def _weigh_gradient(
             kept = drawn[c] >= least
             row[c] = weight if kept else np.float32(0)
             d_row[c] = weight * ((d_row[c] if kept else np.float32(0)) - common_of_row)
-
-
-@_compiled
-def _leave_out(values: NDArray[Any], seed: int, limit: int) -> None:
-    """Make some of the numbers (N,) 0."""
-    words = np.empty(min(256, (len(values) + 3) // 4), np.uint32)
-    drawn, least = words.view(np.uint8), np.uint8(limit)
-    for start in range(0, len(values), len(drawn)):
-        _draw(words, start // 4, seed)
-        part = values[start : start + len(drawn)]
-        for i in range(len(part)):
-            part[i] = part[i] if drawn[i] >= least else 0
