@@ -17,8 +17,9 @@ from typer.testing import CliRunner
 from groundwalk.alignment.definition import STAGE
 from groundwalk.capture_import.capture import Limits, RawSession
 from groundwalk.capture_import.discovery import find_recordings
+from groundwalk.export import command
 from groundwalk.export.__main__ import app
-from groundwalk.export.exporters import EXPORTERS, written
+from groundwalk.export.exporters import EXPORTERS
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
@@ -414,15 +415,16 @@ def test_what_is_exported_is_held_and_the_same_at_the_end(
     truth = scene.run("tiny", "Place", "align") / "ground_truth.parquet"
     changed = truth if images == "none" else next(scene.captures("Place").rglob("*.jpg"))
 
-    def while_it_is_written(*arguments: Any) -> list[str]:
+    def while_it_is_written(*arguments: Any) -> pd.DataFrame:
         with pytest.raises(UserError, match="read or removed by another run"):
             execute(STAGE, "Place", "tiny", scene, force=True)
         with pytest.raises(UserError, match="read or removed by another run"):
             clean_scene(scene, "tiny", "Place")
         changed.write_bytes(changed.read_bytes() + b"x")
-        return written(*arguments)
+        return listed(*arguments)
 
-    monkeypatch.setattr("groundwalk.export.command.written", while_it_is_written)
+    listed = command._all_frames
+    monkeypatch.setattr(command, "_all_frames", while_it_is_written)
     with pytest.raises(UserError, match=r"isn.t as its stage wrote it|aren.t as import saw them"):
         _export(scene, "tum", "--images", images)
     assert not (scene.root.parent / "out" / "tum").exists()
