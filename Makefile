@@ -43,6 +43,11 @@ ifeq ($(scene),)
 $(error name a scene, for example `make scene=Church all`; `make help` lists the scenes)
 endif
 endif
+ifneq ($(filter judge,$(MAKECMDGOALS)),)
+ifeq ($(captures),)
+$(error name a folder of captures: `make captures=<folder> judge`)
+endif
+endif
 
 # ---------------------------------------------------------------- installation
 # constraints.txt pins each package on every platform. hashes.txt has their hashes, but for torch and the CUDA packages that
@@ -58,7 +63,10 @@ $(installed): pyproject.toml constraints.txt hashes.txt
 
 install: $(installed) ## Create .venv from the pinned dependencies
 
-# ---------------------------------------------------------------- stages
+# ---------------------------------------------------------------- for users
+judge: | $(installed) ## captures=<folder>: which frames can be trusted, on one page, in minutes
+	@$(py) -m groundwalk judge "$$captures"
+
 all: report ## Everything: import, sfm, align, localise, train, fuse, report
 import: ## Stage 1: any capture -> checked frames
 sfm: ## Stage 2: frames -> COLMAP model
@@ -66,14 +74,14 @@ align: ## Stage 3: model and VIO -> metric, gravity-aligned ground truth; drift
 localise: ## Stage 4: maps of points, and the poses that structure localisers give in them
 train: ## Stage 5: absolute pose regressors, and their predictions
 fuse: ## Stage 6: predictions and VIO -> fused poses and errors
-report: ## Stage 7: tables, figures, page.html
+report: ## Stage 7: the page again, tables, figures
 $(stages): | $(installed)
 	@$(py) -m groundwalk run $(arguments) $(if $(captures),--captures "$$captures") --until $@
 
-simulate: | $(installed) ## Simulate the scene's captures, where it has none
+simulate: | $(installed) #! Simulate the scene's captures, where it has none
 	@$(py) -m groundwalk simulate $(arguments)
 
-paper: | $(installed) ## All six scenes in the paper profile (profile=tiny: a rehearsal), then one regressor for all outdoors and one indoors
+paper: | $(installed) #! All six scenes in the paper profile (profile=tiny: a rehearsal), then one regressor for all outdoors and one indoors
 	@for group in outdoor indoor; do \
 		$(py) -m groundwalk run --scene $$group --profile "$(if $(profile_is_given),$$profile,paper)" || exit; \
 	done
@@ -85,106 +93,116 @@ clean: | $(installed) ## Remove the scene's artefacts of this profile and its si
 	@$(py) -m groundwalk clean $(arguments)
 
 # ---------------------------------------------------------------- development
-check: lint types ## Lint, format, types, layering
+check: lint types #! Lint, format, types, layering
 	@$(py) -m pytest --quiet tests/test_layering.py
 
-lint: $(installed) ## Lint and format
+lint: $(installed) #! Lint and format
 	@.venv/bin/ruff check --quiet .
 	@.venv/bin/ruff format --quiet --check .
 
-types: ## Types alone, of whatever is installed in .venv
+types: #! Types alone, of whatever is installed in .venv
 	@.venv/bin/mypy --no-error-summary
 
 # mypy works on one core: it runs beside the tests.
-test: lint ## Checks and tests, under ten minutes on two cores
+test: lint #! Checks and tests, under ten minutes on two cores
 	@mkdir -p build; $(MAKE) --no-print-directory types > build/types.txt 2>&1 & types=$$!; \
 		OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(py) -m pytest -n 2 --dist worksteal -m "not slow"; tests=$$?; \
 		wait $$types && exit $$tests; cat build/types.txt; exit 1
 
-test-slow: $(installed) ## Whole-pipeline cases
+test-page: $(installed) #! Reports' page in a real browser: needs chromium and the extra `page` (pip install -e '.[page]')
+	@$(py) -m pytest -rs tests/reports/test_browser.py
+
+test-slow: $(installed) #! Whole-pipeline cases
 	@$(py) -m pytest -m slow
 
-test-faults: $(installed) ## Damage, kills, full disks, hostile names: a table of faults
+test-faults: $(installed) #! Damage, kills, full disks, hostile names: a table of faults
 	@$(py) -m benchmarks.faults
 
-audit: ## Known vulnerabilities of the pinned dependencies (pip-audit); needs a network
+audit: #! Known vulnerabilities of the pinned dependencies (pip-audit); needs a network
 	@$(python) -m venv build/audit
 	@build/audit/bin/pip install --quiet --disable-pip-version-check pip-audit
 	@build/audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip
 
-bench: $(installed) ## Time, memory and bytes of each stage (profile=demo scene=Church unless named)
+bench: $(installed) #! Time, memory and bytes of each stage (profile=demo scene=Church unless named)
 	@$(py) -m benchmarks.stages --scene "$${scene:-Church}" --profile "$$profile"
 
-bench-localise: $(installed) ## Structure localisers Map and HLoc against the figures to reach (docs/results); finished runs
+bench-localise: $(installed) #! Structure localisers Map and HLoc against the figures to reach (docs/results); finished runs
 	@$(py) -m benchmarks.localise
 
-bench-phone: $(installed) ## Exported regressors without PyTorch: bytes, milliseconds, int8 against fp32 (docs/results); a finished run; roots=<folders, joined by commas>: trainings of bench-regressors (build/regressors/PN-0,...)
+bench-phone: $(installed) #! Exported regressors without PyTorch: bytes, milliseconds, int8 against fp32 (docs/results); a finished run; roots=<folders, joined by commas>: trainings of bench-regressors (build/regressors/PN-0,...)
 	@$(py) -m benchmarks.phone --scene "$${scene:-Church}" --profile "$$profile" $(if $(roots),--data "$$roots")
 
-bench-regressors: $(installed) ## PN, MS-T, PN-Lite and MST-Lite beside each other, 3 seeds (docs/results); finished runs of Church and Office; hours
+bench-regressors: $(installed) #! PN, MS-T, PN-Lite and MST-Lite beside each other, 3 seeds (docs/results); finished runs of Church and Office; hours
 	@$(py) -m benchmarks.regressors
 
-bench-cited: $(installed) ## The regressors that the paper cites beside PN, few epochs (docs/results); a finished run of Church; half an hour
+bench-cited: $(installed) #! The regressors that the paper cites beside PN, few epochs (docs/results); a finished run of Church; half an hour
 	@$(py) -m benchmarks.cited_regressors
 
-bench-training: $(installed) ## Training steps in images a second of a core, or device=cuda; official=<folder>: beside MS-Transformer's own code (docs/results)
+bench-training: $(installed) #! Training steps in images a second of a core, or device=cuda; official=<folder>: beside MS-Transformer's own code (docs/results)
 	@$(py) -m benchmarks.training $(if $(official),--official "$$official") $(if $(device),--device "$$device")
 
-bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures to reach (build/fusion)
+bench-fusion: $(installed) #! Fusion methods on the same walks, with the figures to reach (build/fusion)
 	@$(py) -m benchmarks.fusion $(if $(wildcard build/trained/runs),--data build/trained)
 
-bench-recovery: $(installed) ## How fusion methods bear what goes wrong in a walk, and how they start
+bench-recovery: $(installed) #! How fusion methods bear what goes wrong in a walk, and how they start
 	@$(py) -m benchmarks.fusion_recovery
 
-bench-repeatability: $(installed) ## How repeatable regressors' errors are from walk to walk; predictions=<folder>: published ones, too (docs/results)
+bench-repeatability: $(installed) #! How repeatable regressors' errors are from walk to walk; predictions=<folder>: published ones, too (docs/results)
 	@$(py) -m benchmarks.regressor_errors.repeatability $(if $(predictions),--predictions "$$predictions")
 
-bench-steps: $(installed) ## What a step of drift_aware costs over a walk of half an hour (docs/results)
+bench-steps: $(installed) #! What a step of drift_aware costs over a walk of half an hour (docs/results)
 	@$(py) -m benchmarks.fusion_steps
 
-bench-fusion-bound: $(installed) ## What limits drift_aware; predictions=<folder>: published ones of real regressors; tables=<folder>: of a group of walks (docs/results)
+bench-fusion-bound: $(installed) #! What limits drift_aware; predictions=<folder>: published ones of real regressors; tables=<folder>: of a group of walks (docs/results)
 	@$(py) -m benchmarks.fusion_bound $(if $(predictions),--predictions "$$predictions") $(if $(tables),--tables "$$tables")
 
-bench-trained: $(installed) ## Train the regressors of bench-fusion's trained walks (build/trained); an hour and a half
+bench-trained: $(installed) #! Train the regressors of bench-fusion's trained walks (build/trained); an hour and a half
 	@$(py) -m benchmarks.fusion_trained
 
-bench-gates: $(installed) ## Broken and clean simulated captures, and what the checks say of them (docs/results); hours
+bench-gates: $(installed) #! Broken and clean simulated captures, and what the checks say of them (docs/results); hours
 	@$(py) -m benchmarks.gates
 
-bench-real: $(installed) ## Real captures beside stock COLMAP (docs/results); captures=<folder>: yours, too; stability=1: resampled
+bench-real: $(installed) #! Real captures beside stock COLMAP (docs/results); captures=<folder>: yours, too; stability=1: resampled
 	@$(py) -m benchmarks.real $(if $(captures),--capture "$$captures") $(if $(stability),--stability)
 
-bench-cameras: $(installed) ## Simulated phones whose lens, shutter and focus are unknown (docs/results); hours
+bench-cameras: $(installed) #! Simulated phones whose lens, shutter and focus are unknown (docs/results); hours
 	@$(py) -m benchmarks.phone_cameras
 
-bench-import: $(installed) ## Import: speed, memory, figures of each format
+bench-import: $(installed) #! Import: speed, memory, figures of each format
 	@$(py) -m benchmarks.import_throughput
 	@$(py) -m benchmarks.import_formats $(if $(wildcard ../shared),--captures ../shared/captures --trajectories ../shared/trajectories)
 	@$(py) -m benchmarks.import_blurring $(if $(wildcard ../shared),--captures ../shared/captures)
 
-fuzz-import: $(installed) ## Fuzz the capture formats for some seconds (seconds=60); needs the extra `fuzz`
+fuzz-import: $(installed) #! Fuzz the capture formats for some seconds (seconds=60); needs the extra `fuzz`
 	@$(py) -m benchmarks.import_fuzz "$$seconds"
 
-docs: $(installed) ## Write the generated pages of docs/reference: tables, settings, commands, checks
+docs: $(installed) #! Write the generated pages of docs/reference: tables, settings, commands, checks
 	@$(py) -m groundwalk docs
 
-docs-site: $(installed) ## Build the documentation as a site, strictly, into build/site
+docs-site: $(installed) #! Build the documentation as a site, strictly, into build/site
 	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet --strict
 	@echo "Look at build/site/index.html"
 
-lock: ## Resolve the dependencies again into constraints.txt and hashes.txt (needs uv)
+pictures: $(installed) #! Take docs/images/page.jpg of a finished page (scene=Church profile=demo unless named); needs chromium
+	@$(py) -m benchmarks.pictures --scene "$${scene:-Church}" --profile "$$profile"
+
+lock: #! Resolve the dependencies again into constraints.txt and hashes.txt (needs uv)
 	uv pip compile --universal --extra dev --python-version 3.11 --no-annotate --upgrade pyproject.toml -o constraints.txt
 	grep -vE '^(torch|triton|cuda-|nvidia-)' constraints.txt | uv pip compile --universal --no-deps --python-version 3.11 \
 		--no-annotate --no-header --generate-hashes - -o hashes.txt
 
-help: ## This text
+help: #! What a user needs
 	@echo "make scene=<scene> [profile=demo|standard|paper|tiny] [captures=<folder>] <target>"
 	@echo
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14 | sed 's/^/  /'
+	@echo "  help-dev    the targets for whoever changes groundwalk: tests, benchmarks, docs"
 	@echo
 	@if [ -e $(installed) ]; then $(py) -m groundwalk scenes; echo; fi
 	@echo "your own captures:  make scene=<name> captures=<folder> all"
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
+help-dev: #! This text
+	@grep -hE '^[a-z-]+:.*#! ' $(MAKEFILE_LIST) | sed 's/:.*#! /\t/' | expand -t 22 | sed 's/^/  /'
+
 .NOTPARALLEL:
-.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-fusion bench-recovery bench-repeatability bench-steps bench-fusion-bound bench-trained bench-gates bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
+.PHONY: all judge $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-fusion bench-recovery bench-repeatability bench-steps bench-fusion-bound bench-trained bench-gates bench-real bench-cameras bench-import fuzz-import docs docs-site pictures test-page lock help help-dev

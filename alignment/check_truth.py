@@ -25,6 +25,7 @@ from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.true_poses import true_poses_of
 
 
 @dataclass(frozen=True)
@@ -151,21 +152,3 @@ def check_truth(
         typer.echo(f"{status:>6}  {target.name}: {target.value:.3f} {target.unit} ({target.limits})")
     if not all(target.is_met for target in targets):
         raise typer.Exit(1)
-
-
-def true_poses_of(frames: pd.DataFrame, scene: str, profile: str, root: DataRoot) -> Array:
-    """map_T_cam (N, 4, 4) of a simulated scene's frames (columns session_id, t_ns), by the simulator; NaN where it has
-    none."""
-    path = root.captures(scene) / "true_poses.parquet"
-    if not path.is_file():
-        raise UserError(
-            f"scene {scene} has no true poses",
-            where=path,
-            expected="the simulator's true_poses.parquet",
-            do="this check is for simulated scenes",
-        )
-    sessions = read_table(root.run(profile, scene, "import") / "sessions.parquet", schema("import", "sessions"))
-    recording = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
-    keys = pd.DataFrame({"session_id": frames["session_id"].map(recording), "t_ns": frames["t_ns"]})
-    truth = read_table(path, schema("simulate", "true_poses"))
-    return poses_of(keys.merge(truth, on=["session_id", "t_ns"], how="left", validate="many_to_one"), "map_cam")

@@ -41,7 +41,6 @@ from benchmarks.gates_breaking import (
 )
 from benchmarks.gates_captures import CORRIDOR, Capture, write_capture
 from benchmarks.results import circumstances_of, markdown_table
-from groundwalk.alignment.check_truth import true_poses_of
 from groundwalk.alignment.definition import STAGE as ALIGN
 from groundwalk.capture_import.definition import STAGE as IMPORT
 from groundwalk.consistency.motions import MIRRORED, MISTAKE_REASONS, UNRELATED, UPSIDE_DOWN
@@ -57,6 +56,7 @@ from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.true_poses import true_poses_of
 
 PROFILE = "tiny"
 CLEAN = "clean"

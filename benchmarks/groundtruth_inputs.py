@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.stages import Cost, measure
-from groundwalk.alignment.check_truth import TruthTarget, true_poses_of, truth_targets
+from groundwalk.alignment.check_truth import TruthTarget, truth_targets
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, pose_residuals
 from groundwalk.geometry.poses import Array
@@ -15,6 +15,7 @@ from groundwalk.store.choices import QualityClass
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.true_poses import true_poses_of
 
 PROFILE = "demo"
 

@@ -51,6 +51,7 @@ def _stage(name: str, package: str, help_text: str) -> Command:
 
 COMMANDS = {
     "Whole scenes": [
+        Command("judge", "Say which frames of a capture can be trusted: a page.", "commands", "judge"),
         Command("run", "Run all stages of a scene in order, as far as needed.", "commands", "run"),
         Command("scenes", "List scenes, profiles and finished stages.", "commands", "scenes"),
         Command(

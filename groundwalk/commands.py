@@ -1,5 +1,7 @@
-"""The commands that aren't one package's: `run`, `scenes` and `docs`."""
+"""The commands that aren't one package's: `judge`, `run`, `scenes` and `docs`."""
 
+import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -7,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from groundwalk.pipeline import run_steps, steps
+from groundwalk.pipeline import Reported, run_steps, steps
 from groundwalk.store import progress
 from groundwalk.store.__main__ import link_captures
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
@@ -21,6 +23,24 @@ from groundwalk.store.simulated import are_simulated, marker_of
 from groundwalk.store.text import printable
 
 app = new_app("Whole scenes.")
+VERDICT = "verdict.json"
+_JUDGED_IN = "demo"  # the profile: its settings of sfm take minutes on two cores
+_EXIT = {"accepted": 0, "undecided": 3, "refused": 4}
+_PICTURES = {
+    ".jpg",
+    ".jpeg",
+    ".png",
+    ".heic",
+    ".heif",
+    ".tif",
+    ".tiff",
+    ".webp",
+    ".dng",
+    ".mov",
+    ".mp4",
+    ".m4v",
+    ".avi",
+}
 CapturesOption = Annotated[
     Path | None,
     typer.Option(help="A folder of phone captures that the scene is to use; it is linked, not copied."),
@@ -45,8 +65,64 @@ def run(
         link_captures(scene, captures, data)
     run_steps(steps(root, profile, scene, until), profile, root)
     page = root.run(profile, scene, "report") / "page.html"
-    if until == STAGES[-1]:
+    if page.is_file():  # a group of scenes may have none of its own
         progress.console.print(f"Look at {page}, or: {view_command(root.run(profile, scene))}")
+
+
+@app.command()
+def judge(
+    folder: Annotated[Path, typer.Argument(help="A folder of phone captures, or one capture.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The folder for page, verdict and all between; judged/<folder's name> unless named."),
+    ] = None,
+) -> None:
+    """Say which frames of a capture can be trusted to what, and how far VIO is off: page.html and verdict.json.
+
+    Runs import, structure from motion and alignment in a data folder of its own, <out>/data; the same command goes on
+    where it was stopped. The capture isn't changed.
+
+    Exit status: **0** accepted: half of the frames or more are of class A or B, scale and vertical are known; **3**
+    undecided: there is ground truth, but less than that; **4** refused: no ground truth; **2** the capture can't be
+    read.
+    """
+    folder = folder.expanduser().resolve()
+    _refuse_without_poses(folder)
+    out = (out or Path("judged") / folder.name).absolute()
+    name = re.sub(r"[^A-Za-z0-9_-]+", "-", folder.name).strip("-_") or "capture"
+    root = DataRoot(out / "data")
+    if root.config_files("scenes", name):  # a shipped scene's settings are another place's
+        name += "-capture"
+    progress.console.print(f"judging {folder}; all that is made lies below {out}")
+    link_captures(name, folder, root.root)
+    report = root.run(_JUDGED_IN, name, "report")
+    try:
+        run_steps(steps(root, _JUDGED_IN, name, "align"), _JUDGED_IN, root)
+    except Reported as refused:
+        if read_json(report / VERDICT).get("verdict") != "refused":
+            raise SystemExit(refused.code) from None
+    for file in ("page.html", VERDICT):
+        shutil.copyfile(report / file, out / file)
+    verdict = read_json(out / VERDICT)
+    progress.stdout.print(f"{verdict['verdict']}: {verdict['why']}")
+    for file in ("page.html", VERDICT):
+        progress.stdout.print(str(out / file))
+    raise typer.Exit(_EXIT[verdict["verdict"]])
+
+
+def _refuse_without_poses(folder: Path) -> None:
+    """UserError for what holds no capture, or pictures alone."""
+    if not folder.is_dir():
+        raise UserError("there is no such folder", where=folder, expected="a folder of phone captures")
+    files = capture_files(folder)
+    if files and all(file.suffix.lower() in _PICTURES for file in files):
+        raise UserError(
+            "these are photos or videos alone: without the phone's poses (VIO) there is no scale, and nothing that "
+            "says which frames to trust",
+            where=folder,
+            found=f"{len(files)} pictures or videos and nothing else",
+            do="record with an app that logs the phone's poses, too: docs/reference/capture-formats.md lists them",
+        )
 
 
 @app.command()

@@ -17,6 +17,11 @@ from groundwalk.store.settings import STAGES, DataRoot, resolve_settings
 from groundwalk.store.signals import Stopped, signals_held
 from groundwalk.store.simulated import marker_of
 
+USER_ERROR = 2  # the exit status of a command that a user can do something about
+_REPORT = STAGES[-1]
+_SHOWN_AT_ONCE = ("align", "localise", "train")
+"""Stages after which the report is written, though more follow: what they found needn't wait for hours of training."""
+
 
 @dataclass(frozen=True)
 class Step:
@@ -26,8 +31,13 @@ class Step:
     scene: str
 
 
+class Reported(SystemExit):
+    """A stage ended with a message, and the report that was written then says so, too."""
+
+
 def steps(data: DataRoot, profile: str, scene: str, until: str = STAGES[-1]) -> list[Step]:
-    """The commands that make a scene up to the stage `until`, in order; of a group of scenes its members' first.
+    """The commands that make a scene up to the stage `until`, in order, and last a report of what there is; of a group
+    of scenes its members' first.
 
     Each does nothing where it is up to date. UserError for a profile or stage that there isn't, and for a group of
     scenes that is a member of itself.
@@ -36,7 +46,7 @@ def steps(data: DataRoot, profile: str, scene: str, until: str = STAGES[-1]) -> 
         raise UserError(f"there is no stage {until!r}", expected=f"one of {', '.join(STAGES)}")
     data.profile(profile)
     config = data.scene(scene)[0]
-    wanted = STAGES[: STAGES.index(until) + 1]
+    wanted = (*STAGES[: STAGES.index(until) + 1], *([] if until == _REPORT else [_REPORT]))
     if config.is_group:
         data.leaves(config)
         members = [step for member in config.members for step in steps(data, profile, member, until)]
@@ -61,11 +71,19 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
     """
     for step in commands:
         _check(step, Step("simulate", step.scene) in commands, profile, data)
-    for step in commands:
+    for step, following in zip(commands, [*commands[1:], None], strict=True):
         if _is_up_to_date(step, profile, data):
             console.print(f"{step.command} · {step.scene} · {profile}: up to date")
-        else:
-            _run(step, profile, data)
+            continue
+        report = Step(_REPORT, step.scene)
+        status = _run(step, profile, data)
+        if status == USER_ERROR and report in commands and step.command in ("sfm", "align"):
+            # It says what was refused; the reason lies in a partial folder, which is none of its inputs.
+            raise Reported(status) if not _run(report, profile, data, "--force") else SystemExit(status)
+        if not status and report in commands and following != report and step.command in _SHOWN_AT_ONCE:
+            status = _run(report, profile, data)
+        if status:
+            sys.exit(status)
 
 
 def _check(step: Step, is_simulated: bool, profile: str, data: DataRoot) -> None:
@@ -89,8 +107,9 @@ def _is_up_to_date(step: Step, profile: str, data: DataRoot) -> bool:
         return False
 
 
-def _run(step: Step, profile: str, data: DataRoot) -> None:
-    arguments = ["--scene", step.scene, "--profile", profile, "--data", str(data.root)]
+def _run(step: Step, profile: str, data: DataRoot, *more: str) -> int:
+    """The exit status of a command in a process of its own; UserError where a signal ended it."""
+    arguments = ["--scene", step.scene, "--profile", profile, "--data", str(data.root), *more]
     with signals_held():
         process = subprocess.Popen([sys.executable, "-m", "groundwalk", step.command, *arguments])
     try:
@@ -105,5 +124,4 @@ def _run(step: Step, profile: str, data: DataRoot) -> None:
             do="see that enough memory is free (SIGKILL often means that none was), then run the same command "
             "again: it resumes from the last checkpoint",
         )
-    if status:
-        sys.exit(status)
+    return status

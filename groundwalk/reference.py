@@ -12,17 +12,13 @@ from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, Di
 from groundwalk.cli import COMMANDS, Command, all_commands
 from groundwalk.fusion.methods import METHODS
 from groundwalk.localisation.localisers import LOCALISERS
-from groundwalk.reports.checks import check_tables
-from groundwalk.reports.details import checks
-from groundwalk.reports.grids import PUBLISHED, markdown
-from groundwalk.reports.published import load_claims, load_published
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.vio import FIT_FILE, VioModel
 from groundwalk.store.choices import FailureCause
 from groundwalk.store.errors import UserError
 from groundwalk.store.reference import reference as tables_page
 from groundwalk.store.registry import Registry
-from groundwalk.store.settings import SHIPPED_DATA, DataRoot, SceneConfig, Settings, SplitRules
+from groundwalk.store.settings import SceneConfig, Settings, SplitRules
 from groundwalk.training.regressors import REGRESSORS
 
 RULERS: dict[str, type[Settings]] = {"charuco": CharucoRuler, "apriltag": AprilTagRuler, "distance": DistanceRuler}
@@ -67,12 +63,6 @@ upper end, a bound. What the recordings are and how it is measured: [VIO drift](
 | parameter | meaning | value | 68 % interval | unit | samples | source |
 |---|---|---|---|---|---|---|
 """
-_PUBLISHED_HEAD = """# The paper's printed tables, held against each other
-
-Written by `make docs` from `shipped/published/`: the rules of the [report](../explanation/reports.md#checks) make
-{rules} comparisons. These don't agree, or can't be compared as they are printed.
-
-| """
 
 
 def write_reference(docs: Path) -> list[Path]:
@@ -99,7 +89,6 @@ def reference_pages() -> dict[str, str]:
         "reference/commands.md": commands_page(),
         "reference/checks.md": checks_page(),
         "results/vio-drift.md": vio_drift_page(),
-        "results/published.md": published_page(),
     }
 
 
@@ -113,14 +102,6 @@ def vio_drift_page() -> str:
         cells = [f"`{field.name}`", _cell(field.metadata["meaning"]), str(p["value"]), interval, p["unit"]]
         rows.append(f"| {' | '.join(cells)} | {p['samples']} | {_cell(p['source'])} |\n")
     return "".join(rows)
-
-
-def published_page() -> str:
-    """What the report's rules say of the paper's own tables and text."""
-    files = DataRoot(SHIPPED_DATA).files("published")
-    findings = check_tables(load_published(files), load_claims(files))
-    grid = checks(findings, PUBLISHED)
-    return _PUBLISHED_HEAD.format(rules=len(findings)) + (markdown(grid).partition("\n\n| ")[2] if grid else "")
 
 
 def settings_page() -> str:

@@ -178,32 +178,3 @@ def published_cells(tables: PrintedTables, scenes: list[SceneInputs]) -> pd.Data
             more = keys | {"statistic": statistic, "quantity": name}
             add(TABLE_III, s, s["subset"], column, value, f"{value:g}", "%", **more)
     return pd.DataFrame(rows)
-
-
-def printed_tables(cells: pd.DataFrame) -> PrintedTables:
-    """Our cells as printed tables, for the same checks that the paper's go through."""
-    ours = cells[cells["source"] == OURS].assign(printed=lambda f: pd.to_numeric(f["text"], errors="coerce"))
-    dataset = ours[ours["table"] == TABLE_I].pivot_table(
-        index=["environment", "scene"], columns="column", values="printed", sort=False
-    )
-    dataset = dataset.reset_index().rename(columns={"train images": "train_images", "scored images": "test_images"})
-    keys = ["environment", "scene", "row", "model", "method", "over"]
-    errors = ours[ours["table"] == TABLE_II].pivot_table(
-        index=[*keys, "statistic"], columns="quantity", values="printed", sort=False, dropna=False
-    )
-    errors = errors.reset_index().dropna(subset=["translation", "rotation"])
-    levels = ours[(ours["table"] == TABLE_III) & (ours["statistic"] != "coverage")].pivot_table(
-        index=keys, columns="quantity", values="printed", sort=False, dropna=False
-    )
-    if "frames" not in levels:  # without the paper's rule nothing has a share
-        levels["frames"] = float("nan")
-    # The cross product of `dropna=False` has rows that were never there.
-    levels = levels.reset_index().dropna(subset=["high", "frames"], how="all")
-    of_high = ours[(ours["table"] == TABLE_III) & (ours["quantity"] == "high")].set_index(keys)["source_rows"]
-    levels = levels.join(of_high.rename("level_frames"), on=keys)
-    return PrintedTables(
-        OURS,
-        dataset,
-        errors.rename(columns={"row": "subset", "translation": "translation_m", "rotation": "rotation_deg"}),
-        levels.rename(columns={"row": "subset", "frames": "share"}),
-    )

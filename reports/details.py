@@ -3,19 +3,21 @@
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from groundwalk.reports.cells import LEVELS, digits_of, number
-from groundwalk.reports.checks import AGREES
+from groundwalk.reports.cells import LEVELS, TABLE_IV, digits_of, number
 from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
+from groundwalk.reports.published import RAW_METHOD
+from groundwalk.reports.run_checks import AGREES
 from groundwalk.reports.statistics import by_walk
+from groundwalk.reports.verdict import Verdict
 from groundwalk.scoring.errors import SURE_CLASSES
-from groundwalk.store.choices import Rejected
+from groundwalk.store.choices import MapUnit, Rejected
 from groundwalk.store.progress import format_seconds
 from groundwalk.store.text import grouped_reasons
 
@@ -36,55 +38,111 @@ def _range(values: pd.Series) -> str:
     return " to ".join(dict.fromkeys(f"{v:.3g}" for v in (known.min(), known.max()))) if len(known) else EMPTY
 
 
-def headline(scene: SceneInputs, cells: pd.DataFrame) -> list[tuple[str, str, str]]:
-    """The figures that a reader looks for first: (number, what it is, more)."""
-    registered, frames = int(scene.images["registered"].sum()), len(scene.images)
-    sessions = f"{len(scene.sessions)} session{'s' if len(scene.sessions) > 1 else ''}"
-    path_m = scene.sessions["path_m"].sum(skipna=False)
-    walks = sessions if math.isnan(path_m) else f"{sessions}, {path_m:.0f} m walked"
-    known = (
-        f"{registered} of {frames} frames; ground truth for {scene.scored_frames} of {scene.test_frames} test frames"
-    )
-    facts = [(f"{frames}", "frames", walks), (f"{100 * registered / frames:.1f} %", "registered", known)]
-    ours = cells[(cells["source"] == OURS) & (cells["scene"] == scene.name) & (cells["statistic"] == "median")]
-    # The paper counts its rule over the frames that it answers; other methods are counted over all of them.
-    paper = scene.fused_method == PAPER_METHOD
-    row, over = ("rp+opt", "subset") if paper else ("all", "all")
+def headline(scene: SceneInputs, cells: pd.DataFrame) -> Grid | None:
+    """What each localiser reaches over all test frames, alone and with the method that is ahead, as Table IV has it;
+    None without errors. Its caption says what stands by each of these numbers."""
+    ours = cells[(cells["source"] == OURS) & (cells["scene"] == scene.name) & (cells["table"] == TABLE_IV)]
+    ours = ours[ours["row"] == "all"]
+    rows, chosen = [], 0
     for model in scene.models:
-        label = scene.label(model)
-        of_model = ours[ours["model"] == model]
-        best = scene.ahead(model)
-        if best is not None:
-            facts.append(_ahead_fact(of_model, label, best, scene))
-            continue
-        alone = _median_pair(of_model, RAW_METHOD, "rp+opt", over)
-        if scene.fused_method is None:
-            facts.append((alone, f"{label}, median", f"alone, over {scene.scored_frames} test frames"))
-            continue
-        fused = _median_pair(of_model, scene.fused_method, row, over)
-        frames_of = "the same frames" if paper else scene.all_frames
-        name = f"{label}{scene.method_labels[scene.fused_method]}"
-        facts.append((fused, f"{name}, median", f"{label} alone on {frames_of}: {alone}"))
-    return facts
+        best = scene.best(model)
+        if scene.ahead(model) and scene.validation is not None:
+            chosen = int(scene.validation.loc[scene.validation["model"] == model, "frames"].max())
+        for method in dict.fromkeys([RAW_METHOD, best]):
+            of_way = ours[(ours["model"] == model) & (ours["method"] == method)].drop_duplicates(
+                ["statistic", "quantity"]
+            )
+            text = of_way.set_index(["statistic", "quantity"])["text"]
+            if method is None or text.empty:
+                continue
+            medians = [text["median", quantity] for quantity in ("translation", "rotation")]
+            levels = "/".join(text["level", level] for level in LEVELS)
+            name = scene.label(model) + (scene.method_labels[method] or ", alone")
+            rows.append([name, *medians, levels, text["coverage", "frames"]])
+    columns = ["localiser", f"median position ({scene.unit.symbol})", "median rotation (°)"]
+    columns += ["high/medium/low (%)", "coverage (%)"]
+    truth = scene.ground_truth.loc[scene.ground_truth["frame_id"].isin(scene.errors["frame_id"])]
+    truth = truth[truth["split"] == "test"]
+    sd, joint = truth["position_sd_m"].median(), truth["frame_id"].isin(scene.registered).sum()
+    kind = "Simulated" if scene.simulated else "Measured"
+    caption = (
+        f"{kind}, over {scene.scored_frames} test frames with ground truth of {scene.test_frames}; coverage is the "
+        "share of them that got a pose in time, and one without a pose counts as failed. The ground truth's own sigma "
+        f"there is {number(sd, 4)} {scene.unit.symbol} (median): an error of that size says nothing. {joint} of these "
+        "queries took part in the structure from motion that their ground truth is from, which flatters localisers by "
+        "structure"
+    )
+    caption += f". Methods were chosen by {chosen} frames held out of training." if chosen else "."
+    return _grid(f"headline-{scene.name}", "Localisers", caption, columns, rows) if rows else None
 
 
-def _ahead_fact(medians: pd.DataFrame, label: str, method: str, scene: SceneInputs) -> tuple[str, str, str]:
-    """The figure of the method that is ahead on held-out frames, over all test frames."""
-    alone = _median_pair(medians, RAW_METHOD, "all", "all")
-    if method in scene.raw_methods:
-        return alone, f"{label}, median", "on frames held out of training no method that fuses beats it"
-    fused = _median_pair(medians, method, "all", "all")
-    more = f"ahead on frames held out of training; {label} alone on {scene.all_frames}: {alone}"
-    return fused, f"{label}{scene.method_labels[method]}, median", more
+def classes(scene: SceneInputs, verdict: Verdict) -> Grid:
+    """How far the frames of each quality class can be trusted."""
+    unit, per = small_unit(scene.unit)
+    columns = [
+        "class",
+        "frames",
+        "share (%)",
+        "of these test",
+        f"position ± ({unit})",
+        "rotation ± (°)",
+        "accuracy levels",
+    ]
+    rows = []
+    for name, of_class in verdict.frames.groupby("quality"):
+        sigmas = [
+            f"{_figure(of_class[c].median() * f)} to {_figure(of_class[c].max() * f)}"
+            if of_class[c].notna().any()
+            else EMPTY
+            for c, f in (("position_sd", per), ("rotation_sd_deg", 1.0))
+        ]
+        counted = "counted" if name in SURE_CLASSES else "left out" if name != "none" else "not scored"
+        tested, share = int((of_class["split"] == "test").sum()), 100 * len(of_class) / len(verdict.frames)
+        rows.append([name, len(of_class), f"{share:.0f}", tested, *sigmas, counted])
+    caption = (
+        "Frames by quality class (docs/explanation/ground-truth.md): one sigma of each frame's own pose along its "
+        "least certain axis, from the median of the class to its largest. Scale and vertical, which all frames share, "
+        "come on top."
+    )
+    return _grid(f"quality-{scene.name}", "Which frames to trust", caption, columns, rows)
 
 
-def _median_pair(medians: pd.DataFrame, method: str, row: str, over: str) -> str:
-    """A method's median errors as the tables print them."""
-    rows = medians[(medians["method"] == method) & (medians["row"] == row) & (medians["over"] == over)]
-    rows = rows.drop_duplicates("quantity").set_index("quantity")
-    text, unit = rows["text"], str(rows.loc["translation", "unit"])
-    there = EMPTY not in (text["translation"], text["rotation"])
-    return f"{text['translation']} {unit}, {text['rotation']}°" if there else "no pose"
+def problems(scene: SceneInputs, verdict: Verdict) -> Grid | None:
+    """What was refused, left out or is undecided, and what to do; None where nothing was."""
+    rows = [[p.what, EMPTY if p.count is None else p.count, p.why, p.do or EMPTY] for p in verdict.problems]
+    columns = ["what", "frames", "why", "what to do"]
+    caption = "What the checks refused, and what would decide or mend it (docs/how-to/failed-check.md)."
+    return _grid(f"problems-{scene.name}", "Refused or undecided", caption, columns, rows, 4) if rows else None
+
+
+def true_errors(scene: SceneInputs, verdict: Verdict) -> Grid | None:
+    """What the ground truth states of itself beside how wrong it is; None of a real capture."""
+    e, figures = verdict.true_errors, scene.manifests.get("align", {}).get("figures", {})
+    if e is None:
+        return None
+    rows = [
+        ["position, median (cm)", f"± {_figure(100 * e.position_stated)}", _figure(100 * e.position)],
+        ["rotation, median (°)", f"± {_figure(e.rotation_stated_deg)}", _figure(e.rotation_deg)],
+        ["positions inside their 95 % bounds (%)", "95", f"{e.position_within:.0f}"],
+        ["rotations inside their 95 % bounds (%)", "95", f"{e.rotation_within:.0f}"],
+        ["scale (%)", f"± {_figure(100 * figures['scale_sd'])}", _figure(e.scale)],
+        ["vertical (°)", f"± {_figure(figures['vertical_sd_deg'])}", _figure(e.vertical_deg)],
+    ]
+    caption = (
+        "Simulated: the ground truth against the poses that the simulator had, which no stage reads, after heading and "
+        "origin, which are free, were fitted. Stated: one sigma along a frame's least certain axis, scale and vertical "
+        "included. What all frames share is one draw, so all frames may be inside their bounds, or few."
+    )
+    return _grid(f"truth-{scene.name}", "Stated against true", caption, ["", "stated", "true"], rows)
+
+
+def small_unit(unit: MapUnit) -> tuple[str, float]:
+    """What small errors are said in, and how many of these the map's unit has."""
+    return ("cm", 100.0) if unit is MapUnit.METRE else (unit.symbol, 1.0)
+
+
+def _figure(value: float) -> str:
+    return f"{value:.2g}" if math.isfinite(value) else EMPTY
 
 
 def sessions(scene: SceneInputs) -> Grid:
@@ -140,30 +198,6 @@ def alignment(scene: SceneInputs) -> Grid | None:
         )
     caption = "Each session's VIO fitted rigidly to the map: metres of VIO per metre of the map, and what is left."
     return _grid(f"alignment-{scene.name}", "VIO against the map", caption, columns, rows, 2)
-
-
-def quality(scene: SceneInputs) -> Grid:
-    """How sure the ground truth is by itself, a line a quality class."""
-    columns = ["class", "frames", "test frames", f"position ({scene.unit.symbol})", "rotation (°)", "accuracy levels"]
-    rows = []
-    for name, of_class in scene.ground_truth.groupby("quality"):
-        sigmas = [of_class[c].median() for c in ("position_sd_m", "rotation_sd_deg")]
-        counted = "counted" if name in SURE_CLASSES else "left out" if name != "none" else "not scored"
-        tested = int((of_class["split"] == "test").sum())
-        rows.append([name, len(of_class), tested, number(sigmas[0], 4), number(sigmas[1], 3), counted])
-    figures = scene.manifests["align"]["figures"]
-    shared = [
-        f"{what} {figures[name] * factor:.2g} {unit}"
-        for what, name, factor, unit in (("scale", "scale_sd", 100, "%"), ("vertical", "vertical_sd_deg", 1, "°"))
-        if figures.get(name) is not None
-    ]
-    caption = (
-        "Frames by quality class (docs/explanation/ground-truth.md), and one sigma of each frame's own pose along its "
-        "least certain axis, the median of the class. Errors smaller than that aren't told apart."
-    )
-    if shared:
-        caption += f" What all frames share comes on top: {', '.join(shared)} (one sigma)."
-    return _grid(f"quality-{scene.name}", "How sure the ground truth is", caption, columns, rows)
 
 
 def users(scene: SceneInputs) -> Grid | None:
@@ -317,7 +351,7 @@ def checks(findings: pd.DataFrame, source: str) -> Grid | None:
         for f in _records(findings[(findings["source"] == source) & (findings["status"] != AGREES)])
     ]
     columns = ["rule", "table", "scene", "subset", "column", "by the rule", "printed", "status", "why"]
-    caption = "Each number is taken as the interval that its rounding leaves open; rules: docs/explanation/reports.md."
+    caption = "Rules: docs/explanation/reports.md."
     return _grid(f"checks-{source}", "What doesn't agree", caption, columns, rows, len(columns)) if rows else None
 
 
@@ -330,7 +364,8 @@ def provenance(scene: SceneInputs) -> Grid:
         finished = m["finished"].replace("T", " ").removesuffix("+00:00")
         figures = [format_seconds(m["total_seconds"]), f"{m['peak_memory_mib']:.0f}", m["seed"]]
         rows.append([name, finished, m["git_revision"], m["machine"], steps, *figures])
-    return _grid(f"provenance-{scene.name}", "Stages", "As each stage's manifest has it.", columns, rows, 5)
+    grid = _grid(f"provenance-{scene.name}", "Stages", "As each stage's manifest has it.", columns, rows, 5)
+    return replace(grid, notes=(versions(scene),))
 
 
 def stage_settings(scene: SceneInputs) -> list[tuple[str, str]]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from itertools import groupby
 
 PUBLISHED, OURS = "published", "ours"
+_PAGE_COLUMNS = 11  # of numbers, side by side on a page
 EMPTY = "–"
 
 
@@ -148,32 +149,60 @@ def latex(grid: Grid) -> str:
 
 
 def html_table(grid: Grid) -> str:
-    """The table as an HTML fragment; rows have the class of their source, the page's style tells them apart."""
+    """The table as an HTML fragment; rows have the class of their source, the page's style tells them apart. One that
+    is wider than a page has its columns as rows, a table a block: no cell is out of sight."""
     out = [f'<figure class="table" id="{grid.key}">']
     out.append(f"<figcaption><strong>{_text(grid.title)}.</strong> {_text(grid.caption)}</figcaption>")
-    out.append('<div class="scroll" tabindex="0"><table><thead>')
-    if any(group for group, _ in grid.groups):
-        spans = "".join(f'<th scope="colgroup" colspan="{width}">{_text(group)}</th>' for group, width in grid.groups)
-        out.append(f'<tr class="groups">{spans}</tr>')
-    heads = "".join(
-        f'<th scope="col"{_label(i, grid)}>{_heading(name)}</th>' for i, (_, name) in enumerate(grid.columns)
-    )
-    out.append(f"<tr>{heads}</tr></thead>")
-    for block in grid.blocks:
-        out.append("<tbody>")
-        if block.title:
-            out.append(
-                f'<tr class="block"><th scope="rowgroup" colspan="{len(grid.columns)}">{_text(block.title)}</th></tr>'
-            )
-        for row in block.rows:
-            cells = "".join(f"<td{_label(i, grid)}>{_text(cell)}</td>" for i, cell in enumerate(row.cells))
-            out.append(f'<tr class="{row.source}{" average" if row.average else ""}">{cells}</tr>')
-        out.append("</tbody>")
-    out.append("</table></div>")
+    if len(grid.columns) > _PAGE_COLUMNS and max(len(block.rows) for block in grid.blocks) < len(grid.columns):
+        out += [_transposed(grid, block) for block in grid.blocks]
+    else:
+        out.append(_upright(grid))
     if grid.notes:
         out.append('<ul class="notes">' + "".join(f"<li>{_text(note)}</li>" for note in grid.notes) + "</ul>")
     out.append("</figure>")
     return "\n".join(out) + "\n"
+
+
+def _upright(grid: Grid) -> str:
+    out = ["<table><thead>"]
+    if any(group for group, _ in grid.groups):
+        spans = "".join(f'<th scope="colgroup" colspan="{width}">{_text(group)}</th>' for group, width in grid.groups)
+        out.append(f'<tr class="groups">{spans}</tr>')
+    names = [name for _, name in grid.columns]
+    heads = "".join(f'<th scope="col"{_label(i, grid)}>{_heading(name)}</th>' for i, name in enumerate(names))
+    out.append(f"<tr>{heads}</tr></thead>")
+    for block in grid.blocks:
+        out.append("<tbody>")
+        if block.title:
+            out.append(f'<tr class="block"><th scope="rowgroup" colspan="{len(names)}">{_text(block.title)}</th></tr>')
+        for row in block.rows:
+            cells = "".join(
+                _cell(cell, name, _label(i, grid)) for i, (cell, name) in enumerate(zip(row.cells, names, strict=True))
+            )
+            out.append(f'<tr class="{row.source}{" average" if row.average else ""}">{cells}</tr>')
+        out.append("</tbody>")
+    return "\n".join([*out, "</table>"])
+
+
+def _transposed(grid: Grid, block: Block) -> str:
+    """A block with its rows side by side, named by their labels."""
+    heads = [", ".join(row.cells[: grid.labels]) for row in block.rows]
+    out = [f"<table><thead><tr><th>{_text(block.title)}</th>"]
+    out += [f'<th scope="col">{_heading(head)}</th>' for head in heads]
+    out.append("</tr></thead><tbody>")
+    previous = ""
+    for index, (group, name) in list(enumerate(grid.columns))[grid.labels :]:
+        if group != previous:
+            out.append(f'<tr class="block"><th scope="rowgroup" colspan="{len(heads) + 1}">{_text(group)}</th></tr>')
+        previous = group
+        cells = [_cell(r.cells[index], head, f' class="{r.source}"') for r, head in zip(block.rows, heads, strict=True)]
+        out.append(f'<tr><th scope="row" class="label">{_heading(name)}</th>{"".join(cells)}</tr>')
+    return "".join([*out, "</tbody></table>"])
+
+
+def _cell(text: str, heading: str, kind: str) -> str:
+    """A cell, which on a narrow page names its column itself."""
+    return f'<td{kind} data-of="{html.escape(heading)}">{_text(text)}</td>'
 
 
 def _label(index: int, grid: Grid) -> str:

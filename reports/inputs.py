@@ -7,12 +7,25 @@ import cv2
 import numpy as np
 import pandas as pd
 
+from groundwalk.geometry.poses import Array
 from groundwalk.reports.published import PAPER_METHOD
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.store import StageRun
 from groundwalk.store.choices import Appearance, MapUnit, PoseSource
-from groundwalk.store.tables import has_vertical, map_unit, poses_of, scale_warning
+from groundwalk.store.files import partial_folder, read_json
+from groundwalk.store.schemas import schema
+from groundwalk.store.simulated import TRUE_POSES
+from groundwalk.store.stage import STOPPED
+from groundwalk.store.tables import (
+    dataset_frames,
+    has_vertical,
+    map_unit,
+    poses_of,
+    scale_warning,
+    with_gravity_of_map,
+)
 from groundwalk.store.text import in_words, name_list
+from groundwalk.store.true_poses import true_poses_of
 
 # Fewer training frames than this, and a regressor's accuracy says nothing about regressors.
 ENOUGH_TRAINING_FRAMES = 100
@@ -33,9 +46,11 @@ _APPEARANCES = {
 class SceneInputs:
     """The tables of one scene that the report is made from.
 
-    `predictions` are the regressors' and the structure localisers', `cards` and `localisers` say what these are.
-    `manifests` has those of all stages that went in, by a name to show. `sweep` is None where the
-    paper's rule wasn't run, `validation` where no frames were held out of training.
+    Tables of stages that aren't finished are empty; `stages` are those that are. `stopped` is why a `stage` found no
+    result, with `what`, `where`, `expected`, `found` and `do`. `predictions` are the regressors' and the structure
+    localisers', `cards` and `localisers` say what these are. `true_T_cam` (N, 4, 4) are the simulator's poses of the
+    rows of `ground_truth`, None of a real capture. `manifests` has those of all stages that went in, by a name to
+    show. `validation` is None where no frames were held out of training.
     """
 
     name: str
@@ -43,11 +58,16 @@ class SceneInputs:
     simulated: bool
     profile: str
     seed: int
+    stages: frozenset[str]
+    stopped: dict[str, str]
     frames: pd.DataFrame
     sessions: pd.DataFrame
     rejects: pd.DataFrame
+    jumps: pd.DataFrame
     images: pd.DataFrame
     ground_truth: pd.DataFrame
+    true_T_cam: Array | None
+    residuals: pd.DataFrame
     align_sessions: pd.DataFrame
     drift: pd.DataFrame
     align_checks: pd.DataFrame
@@ -58,7 +78,6 @@ class SceneInputs:
     storage: pd.DataFrame
     poses: pd.DataFrame
     errors: pd.DataFrame
-    sweep: pd.DataFrame | None
     intervals: pd.DataFrame
     fused_sessions: pd.DataFrame
     methods: pd.DataFrame
@@ -82,6 +101,11 @@ class SceneInputs:
     def scored_frames(self) -> int:
         """Test frames with ground truth: what every share and level is a share of."""
         return int(self.errors.loc[self.errors["split"] == "test", "frame_id"].nunique())
+
+    @property
+    def registered(self) -> pd.Series:
+        """The frames that structure from motion registered, by frame_id."""
+        return self.images.loc[self.images["registered"], "frame_id"]
 
     @property
     def evaluated_splits(self) -> str:
@@ -168,6 +192,10 @@ class SceneInputs:
         rows = self.validation[(self.validation["model"] == model) & self.validation["ahead"]]
         return str(rows["method"].iloc[0]) if len(rows) else None
 
+    def best(self, model: str) -> str | None:
+        """The method that stands for fusion with a model: the one that is ahead, or the one that figures show."""
+        return self.ahead(model) or self.fused_method
+
     def fused_poses(self, model: str, method: str | None) -> pd.DataFrame:
         """A method's poses for a model; where it was run with several options, those of the first."""
         return _first_options(self.poses, model, method)
@@ -229,7 +257,9 @@ class SceneInputs:
 
     def why_meaningless(self) -> list[str]:
         """Reasons why this scene's accuracy means nothing; none where it may mean something."""
-        reasons = []
+        reasons: list[str] = []
+        if not len(self.cards):
+            return reasons
         if self.training_frames < ENOUGH_TRAINING_FRAMES:
             reasons.append(f"there are only {self.training_frames} training frames")
         if self.leak_s is not None and self.leak_s < LEAK_S:
@@ -247,57 +277,86 @@ def _first_options(rows: pd.DataFrame, model: str, method: str | None) -> pd.Dat
 def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
     """Everything about a plain scene. Where the run is a group of scenes that trained or fused together, the models
     that it trained replace the scene's own of the same name."""
+
+    def read(stage: str, table: str, owner: str = leaf) -> pd.DataFrame:
+        of = schema(stage, table)
+        is_there = (owner, stage) in r.sources and (
+            stage != "fuse" or (r.folder(stage, owner) / f"{table}.parquet").is_file()
+        )
+        return r.read(stage, table, scene=owner) if is_there else of.arrow().empty_table().to_pandas()
+
     trainers = dict.fromkeys([leaf, _owner(r, leaf, "train")])
-    trained_by = {str(m): owner for owner in trainers for m in r.read("train", "models", scene=owner)["model"]}
+    trained_by = {str(m): owner for owner in trainers for m in read("train", "models", owner)["model"]}
     fused_by = _owner(r, leaf, "fuse")
 
     def trained(table: str) -> pd.DataFrame:
         parts = []
         for owner in trainers:
-            part = r.read("train", table, scene=owner)
+            part = read("train", table, owner)
             part = part[part["model"].map(trained_by) == owner]
             parts.append(part[part["scene"] == leaf] if "scene" in part else part)
         return pd.concat([p for p in parts if len(p)] or parts[:1], ignore_index=True)
 
     def fused(table: str) -> pd.DataFrame:
-        part = r.read("fuse", table, scene=fused_by)
+        part = read("fuse", table, fused_by)
         return part[part["scene"] == leaf].reset_index(drop=True)
 
-    localised = r.read("localise", "predictions", scene=leaf)
-    errors, methods = fused("errors"), r.read("fuse", "methods", scene=fused_by)
-    manifests = {stage: r.manifest(stage, leaf) for stage in ("import", "sfm", "align", "localise")}
-    manifests |= {f"train of {owner}" if owner != leaf else "train": r.manifest("train", owner) for owner in trainers}
-    manifests |= {f"fuse of {fused_by}" if fused_by != leaf else "fuse": r.manifest("fuse", fused_by)}
-    frames, images = r.dataset_frames(leaf), r.read("sfm", "images", scene=leaf)
+    owners = {stage: [leaf] for stage in ("import", "sfm", "align", "localise")}
+    owners |= {"train": list(trainers), "fuse": [fused_by]}
+    manifests = {
+        stage if owner == leaf else f"{stage} of {owner}": r.manifest(stage, owner)
+        for stage, its_owners in owners.items()
+        for owner in its_owners
+        if (owner, stage) in r.sources
+    }
+    frames, images, truth = read("import", "frames"), read("sfm", "images"), read("align", "ground_truth")
+    frames = with_gravity_of_map(dataset_frames(frames), truth)
+    predictions = [p for p in (trained("predictions"), read("localise", "predictions")) if len(p)]
+    errors, methods, validation = fused("errors"), read("fuse", "methods", fused_by), fused("validation")
+    simulated = bool(manifests["import"]["simulated"])
+    has_truth = simulated and len(truth) and (r.data.captures(leaf) / TRUE_POSES).is_file()
     return SceneInputs(
         name=leaf,
         environment=r.data.scene(leaf)[0].environment,
-        simulated=bool(manifests["import"]["simulated"]),
+        simulated=simulated,
         profile=r.profile,
         seed=r.seed,
+        stages=frozenset(name.split()[0] for name in manifests),
+        stopped=_stopped(r, leaf),
         frames=frames,
-        sessions=r.read("import", "sessions", scene=leaf),
-        rejects=r.read("import", "rejects", scene=leaf),
+        sessions=read("import", "sessions"),
+        rejects=read("import", "rejects"),
+        jumps=read("import", "jumps"),
         images=images[images["frame_id"].isin(frames["frame_id"])].reset_index(drop=True),
-        ground_truth=r.read("align", "ground_truth", scene=leaf),
-        align_sessions=r.read("align", "sessions", scene=leaf),
-        drift=r.read("align", "drift", scene=leaf),
-        align_checks=r.read("align", "checks", scene=leaf),
-        predictions=pd.concat([p for p in (trained("predictions"), localised) if len(p)], ignore_index=True),
+        ground_truth=truth,
+        true_T_cam=true_poses_of(truth, leaf, r.profile, r.data) if has_truth else None,
+        residuals=read("align", "residuals"),
+        align_sessions=read("align", "sessions"),
+        drift=read("align", "drift"),
+        align_checks=read("align", "checks"),
+        predictions=pd.concat(predictions, ignore_index=True) if predictions else trained("predictions"),
         history=trained("history"),
         cards=trained("models"),
-        localisers=r.read("localise", "models", scene=leaf),
-        storage=r.read("localise", "storage", scene=leaf),
+        localisers=read("localise", "models"),
+        storage=read("localise", "storage"),
         poses=fused("poses"),
         errors=errors,
-        sweep=fused("sweep") if (r.folder("fuse", fused_by) / "sweep.parquet").is_file() else None,
         intervals=fused("intervals"),
         fused_sessions=fused("sessions"),
         # A group's methods may have had nothing to fuse in this scene.
         methods=methods[methods["method"].isin(errors["method"])].reset_index(drop=True),
-        validation=fused("validation") if (r.folder("fuse", fused_by) / "validation.parquet").is_file() else None,
+        validation=validation if len(validation) else None,
         manifests=manifests,
     )
+
+
+def _stopped(r: StageRun[Any], leaf: str) -> dict[str, str]:
+    """Why sfm or align stopped at its last attempt, from what it left; {} where neither did."""
+    for stage in ("sfm", "align"):
+        left = read_json(partial_folder(r.data.run(r.profile, leaf, stage)) / STOPPED)
+        if (leaf, stage) not in r.sources and left:
+            return {"stage": stage, **{name: str(text) for name, text in left.items()}}
+    return {}
 
 
 def _owner(r: StageRun[Any], leaf: str, stage: str) -> str:

@@ -1,24 +1,23 @@
-"""The page of a scene, or of a group of scenes: one self-contained HTML file beside its figures."""
+"""The page of a scene, or of a group of scenes: one self-contained HTML file with a section of all that exists."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-import numpy as np
+import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from groundwalk.geometry.rows import evenly
-from groundwalk.reports.grids import Grid, html_table
+from groundwalk.reports import details
+from groundwalk.reports.grids import OURS, Grid, html_table
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.store.images import read_image
+from groundwalk.reports.verdict import State, Verdict, drift_by_distance
+from groundwalk.reports.walk_map import draw, frame_data, thumbnail
 from groundwalk.store.tables import scale_warning
 
 _TEMPLATES = Path(__file__).parent / "templates"
-_THUMBNAIL_PX = 300
-_THUMBNAILS = 12
+_SHEET = 8  # pictures that show what a capture is of
 
 
 @dataclass(frozen=True)
@@ -30,25 +29,18 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Thumbnail:
-    """A frame on the contact sheet; `file` is relative to the page."""
-
-    file: str
-    frame_id: str
-    split: str
-
-
-@dataclass(frozen=True)
 class SceneSection:
-    """What the page shows of one scene: figures by section, the smaller tables by name (None where there is nothing to
-    show), and each stage's settings."""
+    """What the page shows of one scene: figures by section, its tables by name (None where there is nothing to show),
+    its map with the data of its frames, and each stage's settings."""
 
     scene: SceneInputs
-    headline: list[tuple[str, str, str]]
-    thumbnails: list[Thumbnail]
+    verdict: Verdict
+    facts: list[tuple[str, str, str]]
+    sheet: list[tuple[str, str]]
+    walk: str
+    frames: str
     pictures: dict[str, list[Picture]]
     grids: dict[str, Grid | None]
-    versions: str
     settings: list[tuple[str, str]]
 
     @property
@@ -56,24 +48,104 @@ class SceneSection:
         return {name: Markup(html_table(grid) if grid else "") for name, grid in self.grids.items()}
 
 
-@dataclass(frozen=True)
-class Checked:
-    """How the checks of one source's tables ended: how many there were, how many don't agree, and these in a table."""
+def facts(scene: SceneInputs, verdict: Verdict) -> list[tuple[str, str, str]]:
+    """The first screen's figures: (number, what it is, more)."""
+    unit, per = details.small_unit(scene.unit)
+    frames, trusted = verdict.frames, verdict.trusted
+    path_m = scene.sessions["path_m"].sum(skipna=False)
+    walked = "" if path_m != path_m else f", {path_m:.0f} m walked"
+    many = "s" if len(scene.sessions) > 1 else ""
+    devices = ", ".join(dict.fromkeys(filter(None, scene.sessions["device"])))
+    shown = [
+        (f"{len(frames)}", "frames", f"{len(scene.sessions)} session{many}{walked}; {devices or 'unknown device'}")
+    ]
+    if "align" not in scene.stages:
+        return shown
+    share = 100 * len(trusted) / max(len(frames), 1)
+    coverage, longest = verdict.coverage()
+    by_class = ", ".join(f"{name} {count}" for name, count in frames["quality"].value_counts().sort_index().items())
+    shown.append(
+        (f"{share:.0f} %", "of frames can be trusted", f"{len(trusted)} of class A or B; by class: {by_class}")
+    )
+    if len(trusted):
+        metres, degrees = (trusted[c].quantile(0.95) for c in ("position_sd", "rotation_sd_deg"))
+        what = "to which 95 % of these are known: one sigma, least certain axis"
+        half = f"half to ± {per * trusted['position_sd'].median():.2g} {unit}"
+        shown.append((f"± {per * metres:.2g} {unit}, ± {degrees:.2g}°", what, half))
+    covered = f"longest stretch without such a frame: {longest:.1f} {scene.unit.symbol}"
+    if coverage == coverage:
+        shown.append((f"{100 * coverage:.0f} %", "of the walk lies between trusted frames", covered))
+    figures = scene.manifests["align"]["figures"]
+    scale, vertical = figures.get("scale_sd"), figures.get("vertical_sd_deg")
+    source = str(figures.get("scale_source")).replace("vio", "VIO")
+    upright = "vertical unknown" if vertical is None else f"vertical ± {vertical:.2g}°"
+    shown.append(
+        ("unknown" if scale is None else f"± {100 * scale:.2g} %", "metric scale", f"from {source}; {upright}")
+    )
+    if drifts := drift_by_distance(scene):
+        d = min(drifts, key=lambda row: abs(row["distance_m"] - 5))
+        jumps = f"{len(scene.jumps)} VIO jump{'s' if len(scene.jumps) != 1 else ''}"
+        more = f"median; 95th percentile {d['p95_percent']:.2g} %; {jumps}"
+        shown.append((f"{d['median_percent']:.2g} %", f"VIO drift over {d['distance_m']:g} m", more))
+    elif frames["vio_error"].notna().any():
+        rms = per * float((frames["vio_error"] ** 2).mean() ** 0.5)
+        shown.append(
+            (f"{rms:.2g} {unit}", "VIO from ground truth, RMS", "no walk is long enough for drift by distance")
+        )
+    if e := verdict.true_errors:
+        more = f"stated ± {100 * e.position_stated:.2g} cm (one axis, scale and vertical included)"
+        shown.append((f"{100 * e.position:.2g} cm", "from the simulator's truth, median", more))
+    return shown
 
-    source: str
-    count: int
-    failed: int
-    grid: Grid | None
 
-    @property
-    def table(self) -> Markup:
-        return Markup(html_table(self.grid) if self.grid else "")
+def section(
+    scene: SceneInputs,
+    verdict: Verdict,
+    image_path: Callable[[str], Path],
+    pictures: dict[str, list[Picture]],
+    headline: Grid | None,
+) -> SceneSection:
+    """A scene's part of the page, as far as its stages are finished. UserError where an image can't be read."""
+    frames = scene.frames.sort_values(["session_id", "t_ns"], kind="stable")
+    chosen = frames.iloc[evenly(len(frames), _SHEET)] if len(frames) else frames
+    aligned, fused = "align" in scene.stages, "fuse" in scene.stages
+    grids: dict[str, Grid | None] = {
+        "headline": headline,
+        "problems": details.problems(scene, verdict),
+        "classes": details.classes(scene, verdict) if aligned else None,
+        "truth": details.true_errors(scene, verdict),
+        "sessions": details.sessions(scene),
+        "rejects": details.rejects(scene),
+        "alignment": details.alignment(scene),
+        "consistency": details.consistency(scene),
+        "drift": details.drift(scene) if aligned else None,
+        "models": details.models(scene) if len(scene.cards) else None,
+        "localisers": details.localisers(scene),
+        "walks": details.walks(scene) if fused else None,
+        "users": details.users(scene) if fused else None,
+        "provenance": details.provenance(scene),
+    }
+    return SceneSection(
+        scene=scene,
+        verdict=verdict,
+        facts=facts(scene, verdict),
+        sheet=[
+            (thumbnail(image_path(frame["image"]), frame["gravity_x"], frame["gravity_y"]), str(frame["frame_id"]))
+            for _, frame in chosen.iterrows()
+        ],
+        walk=draw(scene, verdict),
+        frames=frame_data(scene, verdict, image_path),
+        pictures=pictures,
+        grids=grids,
+        settings=details.stage_settings(scene),
+    )
 
 
 def render(
-    name: str, environment: str, profile: str, sections: list[SceneSection], grids: list[Grid], checked: list[Checked]
+    name: str, environment: str, profile: str, sections: list[SceneSection], grids: list[Grid], findings: pd.DataFrame
 ) -> str:
-    """The page as HTML; `grids` are the tables over all scenes."""
+    """The page as HTML; `grids` are the tables over all scenes, `findings` the rows of report.checks."""
+    disagreeing = details.checks(findings, OURS)
     jinja = Environment(
         loader=FileSystemLoader(_TEMPLATES),
         autoescape=True,
@@ -88,39 +160,15 @@ def render(
         environment=environment,
         profile=profile,
         sections=sections,
+        State=State,
         simulated=[scene.name for scene in scenes if scene.simulated],
         without_scale={scene.name: warning for scene in scenes if (warning := scale_warning(scene.unit))},
         alone={scene.name: reason for scene in scenes if (reason := scene.why_alone())},
         fuses=any(scene.fuses for scene in scenes),
         meaningless={scene.name: why for scene in scenes if (why := scene.why_meaningless())},
         tables={grid.key: Markup(html_table(grid)) for grid in grids},
-        checked=checked,
+        checks=len(findings),
+        disagreeing=Markup(html_table(disagreeing) if disagreeing else ""),
         style=Markup((_TEMPLATES / "page.css").read_text(encoding="utf-8")),
+        script=Markup((_TEMPLATES / "page.js").read_text(encoding="utf-8")),
     )
-
-
-def thumbnails(scene: SceneInputs, image_path: Callable[[str], Path], folder: Path) -> list[Thumbnail]:
-    """Small upright JPEGs of frames spread evenly over the capture, written into `folder`/frames.
-
-    `image_path` turns an entry of frames.image into a path. UserError where an image can't be read any more.
-    """
-    frames = scene.frames.sort_values(["session_id", "t_ns"])
-    (folder / "frames").mkdir(parents=True, exist_ok=True)
-    sheet = []
-    for number, (_, frame) in enumerate(frames.iloc[evenly(len(frames), _THUMBNAILS)].iterrows()):
-        image = cv2.cvtColor(read_image(image_path(frame["image"])), cv2.COLOR_RGB2BGR)
-        scale = _THUMBNAIL_PX / max(image.shape[:2])
-        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        file = folder / "frames" / f"{scene.name}-{number:02d}.jpg"
-        cv2.imwrite(str(file), upright(small, frame["gravity_x"], frame["gravity_y"]), [cv2.IMWRITE_JPEG_QUALITY, 82])
-        sheet.append(Thumbnail(f"figures/frames/{file.name}", str(frame["frame_id"]), str(frame["split"])))
-    return sheet
-
-
-def upright(image: np.ndarray, gravity_x: float, gravity_y: float) -> np.ndarray:
-    """An image turned by quarters so that gravity (camera axes, x right, y down) points down in it as far as it can."""
-    if math.isnan(gravity_x) or math.isnan(gravity_y):
-        return image
-    quarters = round(math.degrees(math.atan2(gravity_x, gravity_y)) / 90) % 4
-    turns = {1: cv2.ROTATE_90_CLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_COUNTERCLOCKWISE}
-    return cv2.rotate(image, turns[quarters]) if quarters else image

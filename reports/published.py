@@ -22,12 +22,11 @@ _LEVEL_COLUMNS = {
 
 @dataclass(frozen=True)
 class PrintedTables:
-    """Tables I to III as printed, the paper's or ours; numbers are percent, metres and degrees.
+    """Tables I to III as printed; numbers are percent, metres and degrees.
 
     dataset: environment, scene, train_images, test_images, extent_m, {hloc,pn,mst}_storage_mb, ..._runtime_ms.
     errors: environment, scene (or "average"), subset, model, method, over, statistic, translation_m, rotation_deg.
-    levels: environment, scene, subset, model, method, over, high, medium, low, share; ours also level_frames, of how
-    many frames the levels are shares (the paper's are of all).
+    levels: environment, scene, subset, model, method, over, high, medium, low, share.
 
     `method` is RAW_METHOD or PAPER_METHOD. `over` says which frames a row is over: "subset"
     (the frames of its subset) or "all" (all test frames: the paper's raw columns, but for its "only optimised" block).

@@ -1,12 +1,37 @@
 """Is this run what its numbers are taken for? Checks on the artefacts that the tables are made from."""
 
 from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 
-from groundwalk.reports.checks import AGREES, CAUTION, DISAGREES, Finding
+import pandas as pd
+
 from groundwalk.reports.inputs import LEAK_S, MAX_NEAR_COPIES, SceneInputs
 from groundwalk.store.choices import MapUnit
 
+AGREES, DISAGREES, CAUTION = "agrees", "disagrees", "caution"
 WRONG_M, WRONG_DEG = 1.0, 5.0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was checked: where, what it should be by the rule, what is printed, and the status."""
+
+    check: str
+    table: str
+    scene: str
+    subset: str
+    column: str
+    expected: str
+    printed: str
+    status: str
+    because: str
+
+
+def as_table(findings: list[Finding], source: str) -> pd.DataFrame:
+    """Findings as rows of report.checks."""
+    frame = pd.DataFrame([asdict(f) for f in findings], columns=list(Finding.__dataclass_fields__))
+    frame.insert(0, "source", source)
+    return frame
 
 
 def run_findings(scene: SceneInputs) -> Iterator[Finding]:

@@ -1,59 +1,55 @@
-"""Stage report: tables beside the paper's, figures, checks and one page."""
+"""Stage report: the verdict on a capture, tables beside the paper's, figures, checks: one page of what is finished."""
 
 from pathlib import Path
 
 import pandas as pd
 
 from groundwalk.reports import cells, details, page, style
-from groundwalk.reports.checks import AGREES, as_table, check_tables
 from groundwalk.reports.definition import ReportSettings
 from groundwalk.reports.figures import scene_figures
 from groundwalk.reports.grids import OURS, Grid, html_table, latex, markdown
 from groundwalk.reports.inputs import SceneInputs, read_scene
-from groundwalk.reports.published import load_claims, load_published
-from groundwalk.reports.recording import blueprint, record
-from groundwalk.reports.run_checks import run_findings
+from groundwalk.reports.published import load_published
+from groundwalk.reports.run_checks import AGREES, as_table, run_findings
 from groundwalk.reports.tables import Tables
+from groundwalk.reports.verdict import as_json, judge
 from groundwalk.store import StageRun
+from groundwalk.store.files import write_json
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import scale_warning
 
 
 def run(r: StageRun[ReportSettings]) -> None:
-    r.warn_of_scale()
     scenes = [read_scene(r, leaf) for leaf in r.leaves]
-    files = r.data.files("published")
-    published = load_published(files)
-    with r.step("tables"):
-        ours = cells.our_cells(scenes)
-        parts = [ours, cells.published_cells(published, scenes)] if r.settings.published else [ours]
-        all_cells = pd.concat([part for part in parts if len(part)], ignore_index=True)
-        grids = Tables(all_cells, scenes).all()
-        of_run = as_table([finding for scene in scenes for finding in run_findings(scene)], OURS)
-        checked = [of_run, check_tables(cells.printed_tables(ours))]
-        if r.settings.published:
-            checked.append(check_tables(published, load_claims(files)))
-        findings = pd.concat(checked, ignore_index=True)
-        _write_tables(r.work / "tables", grids)
+    grids: list[Grid] = []
+    all_cells, findings = schema("report", "cells").arrow().empty_table().to_pandas(), as_table([], OURS)
+    if all("fuse" in scene.stages for scene in scenes):
+        with r.step("tables"):
+            all_cells = _cells(r, scenes)
+            findings = as_table([finding for scene in scenes for finding in run_findings(scene)], OURS)
+            grids = Tables(all_cells, scenes).all()
+            _write_tables(r.work / "tables", grids)
     r.write("cells", all_cells)
     r.write("checks", findings)
-    with r.step("figures"):
+    with r.step("sections"):
         sections = [_section(r, scene, all_cells) for scene in r.track(scenes, "drawing figures")]
     with r.step("page"):
-        html = page.render(r.scene.name, r.scene.environment, r.profile, sections, grids, _checked(findings))
+        html = page.render(r.scene.name, r.scene.environment, r.profile, sections, grids, findings)
         (r.work / "page.html").write_text(html, encoding="utf-8")
-    with r.step("recording"), r.recording(blueprint(scenes, grids)) as stream:
-        record(stream, scenes, grids)
-    for outcome in _checked(findings):
-        r.figure(f"checks_{outcome.source}", outcome.count)
-        r.figure(f"checks_{outcome.source}_not_agreeing", outcome.failed)
-    _say(r, scenes, sections)
+        for section in sections:
+            file = "verdict.json" if len(sections) == 1 else f"verdict-{section.scene.name}.json"
+            write_json(r.work / file, as_json(section.scene, section.verdict))
+    r.figure("checks", len(findings))
+    r.figure("checks_not_agreeing", int((findings["status"] != AGREES).sum()))
+    _say(r, sections)
 
 
-def _checked(findings: pd.DataFrame) -> list[page.Checked]:
-    checked = []
-    for source, of_source in findings.groupby("source", sort=False):
-        failed = int((of_source["status"] != AGREES).sum())
-        checked.append(page.Checked(str(source), len(of_source), failed, details.checks(findings, str(source))))
-    return checked
+def _cells(r: StageRun[ReportSettings], scenes: list[SceneInputs]) -> pd.DataFrame:
+    """Every number of the tables."""
+    parts = [cells.our_cells(scenes)]
+    if r.settings.published:
+        parts.append(cells.published_cells(load_published(r.data.files("published")), scenes))
+    return pd.concat([part for part in parts if len(part)], ignore_index=True)
 
 
 def _write_tables(folder: Path, grids: list[Grid]) -> None:
@@ -66,44 +62,27 @@ def _write_tables(folder: Path, grids: list[Grid]) -> None:
 def _section(r: StageRun[ReportSettings], scene: SceneInputs, all_cells: pd.DataFrame) -> page.SceneSection:
     folder = r.work / "figures"
     folder.mkdir(exist_ok=True)
-    # Before the figures, which take longer: what can fail for a user's reasons fails first.
-    sheet = page.thumbnails(scene, lambda image: r.image_path(image, scene.name), folder)
-    pictures = {}
-    for part, figures in scene_figures(scene).items():
-        pictures[part] = [
-            page.Picture(style.save(f.figure, folder, f"{scene.name}-{f.name}"), f.caption) for f in figures
-        ]
-    grids = {
-        "sessions": details.sessions(scene),
-        "rejects": details.rejects(scene),
-        "quality": details.quality(scene),
-        "alignment": details.alignment(scene),
-        "drift": details.drift(scene),
-        "consistency": details.consistency(scene),
-        "models": details.models(scene),
-        "localisers": details.localisers(scene),
-        "users": details.users(scene),
-        "walks": details.walks(scene),
+    pictures = {
+        part: [page.Picture(style.save(f.figure, folder, f"{scene.name}-{f.name}"), f.caption) for f in figures]
+        for part, figures in scene_figures(scene).items()
     }
-    return page.SceneSection(
-        scene=scene,
-        headline=details.headline(scene, all_cells),
-        thumbnails=sheet,
-        pictures=pictures,
-        grids=grids | {"provenance": details.provenance(scene)},
-        versions=details.versions(scene),
-        settings=details.stage_settings(scene),
-    )
+    headline = details.headline(scene, all_cells)
+    return page.section(scene, judge(scene), lambda image: r.image_path(image, scene.name), pictures, headline)
 
 
-def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[page.SceneSection]) -> None:
-    for scene, section in zip(scenes, sections, strict=True):
+def _say(r: StageRun[ReportSettings], sections: list[page.SceneSection]) -> None:
+    for section in sections:
+        scene, verdict, headline = section.scene, section.verdict, section.grids["headline"]
+        r.say(f"{scene.name}: {verdict.state}: {verdict.why}")
         if scene.simulated:
             r.say(f"{scene.name} is simulated, and so are its numbers")
+        for reason in filter(None, [scale_warning(scene.unit)]):
+            r.say(f"warning: {scene.name}: {reason}")
         for reason in scene.why_meaningless():
             r.say(f"{scene.name}: the regressors' accuracy means nothing: {reason}")
         if why := scene.why_alone():
             r.say(f"{scene.name}: {why}")
-        for value, what, more in section.headline:
-            r.say(f"{scene.name}: {what}: {value} ({more})")
+        for row in (row for block in headline.blocks for row in block.rows) if headline else ():
+            name, metres, degrees, _, coverage = row.cells
+            r.say(f"{scene.name}: {name}: median {metres} {scene.unit.symbol}, {degrees}°; {coverage} % have a pose")
     r.say(f"page: {r.data.run(r.profile, r.scene.name, 'report') / 'page.html'}")

@@ -2,7 +2,9 @@
 
 import io
 import re
+import textwrap
 from contextlib import AbstractContextManager
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from groundwalk.reports.inputs import SceneInputs
 from groundwalk.store import colours
 
 
@@ -24,14 +27,14 @@ def _hex(rgb: tuple[int, int, int]) -> str:
 
 GROUND_TRUTH = _hex(colours.GROUND_TRUTH)
 VIO = _hex(colours.VIO)
-APR = _hex(colours.APR)
-FUSED = _hex(colours.FUSED)
-REJECTED = _hex(colours.REJECTED)
 NEUTRAL = _hex(colours.NEUTRAL)
 # Told apart in grey print and by colour-blind readers; for quantities, not for kinds of poses.
 ERROR_MAP = "cividis_r"
 
-WIDTH = 7.2  # inches, the width of the page's column
+# One a localiser, on the page and in its figures; ground truth's green and VIO's orange are theirs alone.
+MODEL_COLOURS = ("#0072b2", "#cc79a7", "#56b4e9", "#8c4a6d", "#7570b3", "#a65628", "#7a7a7a")
+
+WIDTH = 3.6  # inches: a column of a paper, and of the page
 # Text and axes; no data has this colour, so that in SVG it can become the page's own text colour.
 INK = "#1a1a1b"
 
@@ -72,16 +75,22 @@ def applied() -> AbstractContextManager[None]:
     return matplotlib_style.context(["default", _STYLE])
 
 
-def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[Figure, list[Axes]]:
-    """A figure of the page's width and `height` inches, and its axes row by row."""
-    figure = Figure(figsize=(WIDTH, height))
-    axes = figure.subplots(rows, columns, squeeze=False, **options)
+def new_figure(panels: int, height: float, **options: Any) -> tuple[Figure, list[Axes]]:
+    """A figure of a column's width, and its axes, each `height` inches, from top to bottom."""
+    figure = Figure(figsize=(WIDTH, panels * height))
+    axes = figure.subplots(panels, 1, squeeze=False, **options)
     return figure, list(axes.ravel())
+
+
+def model_colours(scene: SceneInputs) -> dict[str, str]:
+    """The colour of each localiser of a scene."""
+    models = dict.fromkeys([*scene.models, *scene.localisers["model"], *scene.cards["model"]])
+    return dict(zip(map(str, models), cycle(MODEL_COLOURS), strict=False))
 
 
 def mark(figure: Figure, text: str) -> None:
     """Small print on a figure: what its data is."""
-    figure.supxlabel(text, x=0.995, ha="right", fontsize=6.5, color=NEUTRAL)
+    figure.supxlabel(textwrap.fill(text, 80), x=0.995, ha="right", fontsize=5.5, color=NEUTRAL)
 
 
 def log_axis(axis: Axis) -> None:

@@ -276,7 +276,7 @@ class Tables:
             for model in scene.models if scene.fused_method == PAPER_METHOD else ():
                 column = column_name(model, PAPER_METHOD, "subset", "share frames")
                 key = (TABLE_III, OURS, scene.environment, scene.name, "rp+opt", column)
-                shares.append(f"{column_name(scene.label(model), PAPER_METHOD, 'subset')} answers {self.text[key]} %")
+                shares.append(f"{column_name(scene.label(model), PAPER_METHOD, 'subset')} scores {self.text[key]} %")
             facts = [f"{scene.scored_frames} test frames with ground truth of {scene.test_frames}"]
             if shares:
                 facts.append(f"{', '.join(shares)} of them")

@@ -27,6 +27,8 @@ class Stage(Generic[S]):
     needs: tuple[str, ...]
     run: Callable[["StageRun[S]"], None]
     help: str
+    wants: tuple[str, ...] = ()
+    """Further stages that it reads where they are finished and made from what is there now."""
     reads_captures: bool = False
     reads_shipped: tuple[str, ...] = ()  # folders of data/, whose files come with groundwalk
     files: Callable[[S], Iterable[str]] = lambda settings: ()

@@ -33,10 +33,13 @@ class Inputs:
     files: tuple[str, ...] = ()
     reads_images: bool = False
     hashes: dict[str, Any] = field(default_factory=dict)
+    sources: list[tuple[str, str, Path]] = field(default_factory=list)
+    """Scene, stage and folder of every artefact that is read."""
     _locks: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
     def __enter__(self) -> "Inputs":
         try:
+            self.sources = self._sources()
             self._lock()
             self.hashes = self._hashes()
         except BaseException:
@@ -49,7 +52,7 @@ class Inputs:
 
     def verify(self) -> None:
         """UserError where an input isn't as its stage wrote it, or an image as import saw it."""
-        for _, _, folder in self._sources():
+        for _, _, folder in self.sources:
             load_verified(folder)
         from groundwalk.store.images import verify_images  # OpenCV
 
@@ -58,7 +61,7 @@ class Inputs:
 
     def refuse_outdated(self) -> None:
         """UserError where an artefact among the inputs was made from others than are there now."""
-        for scene, stage, _ in self._sources():
+        for scene, stage, _ in self.sources:
             if replaced := replaced_input(self._manifest_of, scene, stage):
                 its_scene, its_stage = replaced.artefact
                 folder = self.data.run(self.profile, its_scene, its_stage)
@@ -84,7 +87,7 @@ class Inputs:
         """How many frames the imports have that are read."""
         import pyarrow.parquet as pq
 
-        files = [folder / "frames.parquet" for _, stage, folder in self._sources() if stage == "import"]
+        files = [folder / "frames.parquet" for _, stage, folder in self.sources if stage == "import"]
         return sum(pq.read_metadata(file).num_rows for file in files if file.is_file())
 
     def simulated(self) -> bool:
@@ -102,7 +105,7 @@ class Inputs:
         for leaf in self.data.leaves(self.scene):
             if (captures := self.data.captures(leaf)).is_dir():
                 self._locks.enter_context(locked(captures, shared=True))
-        for scene, stage, folder in self._sources():
+        for scene, stage, folder in self.sources:
             if not (folder / MANIFEST).is_file():
                 raise missing_input(stage, folder, scene)
             self._locks.enter_context(locked(folder, shared=True))
@@ -111,7 +114,7 @@ class Inputs:
         hashes: dict[str, Any] = {}
         if self.stage.reads_captures:
             hashes["captures"] = self._hash_of_captures()
-        for scene, stage, folder in self._sources():
+        for scene, stage, folder in self.sources:
             hashes[f"{scene}/{stage}"] = load_manifest(folder)["outputs"]
         for name in self.stage.reads_shipped:
             hashes[f"data/{name}"] = {file: sha256_of(path) for file, path in self.data.files(name).items()}
@@ -128,14 +131,22 @@ class Inputs:
         return {"files": len(hashes), "sha256": hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()}
 
     def _sources(self) -> list[tuple[str, str, Path]]:
-        """Scene, stage and folder of every artefact that is read."""
-        named = [(leaf, need) for leaf in self.data.leaves(self.scene) for need in self.stage.needs]
+        stages = (*self.stage.needs, *self.stage.wants)
+        named = [(leaf, stage) for leaf in self.data.leaves(self.scene) for stage in stages]
         if self.scene.is_group:
             for group in (*self.scene.members, self.scene.name):
                 config = self.data.scene(group)[0]
                 if config.is_group:
-                    named += [(group, need) for need in self.stage.needs if need in config.stages]
-        return [(scene, need, self.data.run(self.profile, scene, need)) for scene, need in named]
+                    named += [(group, stage) for stage in stages if stage in config.stages]
+        return [
+            (scene, stage, self.data.run(self.profile, scene, stage))
+            for scene, stage in named
+            if stage in self.stage.needs or self._is_current(scene, stage)
+        ]
+
+    def _is_current(self, scene: str, stage: str) -> bool:
+        is_finished = (self.data.run(self.profile, scene, stage) / MANIFEST).is_file()
+        return is_finished and replaced_input(self._manifest_of, scene, stage) is None
 
 
 @contextlib.contextmanager

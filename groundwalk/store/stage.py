@@ -51,6 +51,8 @@ from groundwalk.store.tables import (
 S = TypeVar("S", bound=Settings)
 T = TypeVar("T")
 
+STOPPED = "stopped.json"
+"""In a partial folder: why the stage found no result there, for the report."""
 _SCRATCH = "scratch"
 _VERSIONS = (
     "groundwalk",
@@ -76,6 +78,8 @@ class StageRun(Generic[S]):
     data: DataRoot
     simulated: bool
     work: Path
+    sources: frozenset[tuple[str, str]] = frozenset()
+    """Scene and stage of every artefact that it may read."""
     figures: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
 
@@ -83,11 +87,15 @@ class StageRun(Generic[S]):
         """Run the stage; figures and times of a failed attempt before are forgotten."""
         self.figures.clear()
         self.seconds.clear()
+        (self.work / STOPPED).unlink(missing_ok=True)
         try:
             self.stage.run(self)
         except UserError as error:
             if do := error.details["do"]:
                 error.details["do"] = self._of_scene(str(do))
+            with contextlib.suppress(OSError):  # a full disk: what the user must know is the error
+                texts = {name: str(value) for name, value in error.details.items() if value is not None}
+                write_json(self.work / STOPPED, {"what": error.what, **texts})
             raise
 
     @property
@@ -211,7 +219,8 @@ def execute(
             refuse_irreplaceable(folder)
         inputs.verify()
         _refuse_small_disk(work, stage.space_bytes(job.settings, inputs.frames()))
-        run = StageRun(stage, inputs.scene, profile, job.settings, seed, data, inputs.simulated(), work)
+        sources = frozenset((name, need) for name, need, _ in inputs.sources)
+        run = StageRun(stage, inputs.scene, profile, job.settings, seed, data, inputs.simulated(), work, sources)
         _load(stage)
         start = time.monotonic()
         with PeakMemory() as memory:

@@ -89,6 +89,8 @@ class MadeUpScene:
             for name in ("poses", "errors", "sessions", "methods", "intervals"):
                 fuse[name] = fuse[name][fuse[name]["method"] == "apr"]
             del fuse["sweep"]
+        residuals = tables["align"]["residuals"]
+        tables["align"]["residuals"] = residuals[~residuals["session_id"].isin(self.without_vio)]
         if alone.all():
             tables["align"]["drift"] = tables["align"]["drift"].iloc[:0]
         return tables
@@ -140,13 +142,19 @@ class MadeUpScene:
                 poses.append(fused)
                 errors.append(errs.drop(index=lost))
         return {
-            "import": {"frames": imported, "sessions": self._sessions(), "rejects": self._rejects()},
+            "import": {
+                "frames": imported,
+                "sessions": self._sessions(),
+                "rejects": self._rejects(),
+                "jumps": pd.DataFrame(columns=schema("import", "jumps").column_names),
+            },
             "sfm": {"images": self._images(lost)},
             "align": {
                 "ground_truth": truth,
                 "sessions": self._aligned(),
                 "drift": self._drift(),
                 "checks": self._checks(),
+                "residuals": self._residuals(lost),
             },
             "localise": self._localise(localised),
             "train": {"predictions": pd.concat(predictions), "history": self._history(), "models": self._cards()},
@@ -334,8 +342,18 @@ class MadeUpScene:
             if column.name not in frame and not column.name.startswith("map_vio"):
                 plain: Any = {"int64": 30, "string": "vio", "float64": 0.021}[column.dtype]
                 frame[column.name] = 1.003 if column.name == "scale" else plain
+        frame["t_start_ns"], frame["t_end_ns"] = 0, 10**15
         identity = np.tile(np.eye(4), (len(frame), 1, 1))
         return pd.concat([frame, pose_frame("map_vio", identity), pose_frame("map_vio_yaw", identity)], axis=1)
+
+    def _residuals(self, lost: int) -> pd.DataFrame:
+        """VIO moves away by a millimetre a frame."""
+        frames = self.frames.drop(columns="split")
+        count = frames.groupby("session_id").cumcount()
+        errors = {
+            f"{window}{name}": 0.001 * count for window in ("", "window_") for name in ("position_m", "rotation_deg")
+        }
+        return frames.assign(segment=0, component=0, travelled_m=0.5 * count, **errors).drop(index=lost)
 
     def _drift(self) -> pd.DataFrame:
         rows = []
@@ -463,14 +481,17 @@ def write_stage(data: DataRoot, scene: str, stage: str, tables: dict[str, pd.Dat
     for table in stage_tables(stage):
         if table.name in tables:
             write_table(folder / f"{table.name}.parquet", tables[table.name], table)
-    figures = {}
+    figures: dict[str, Any] = {}
+    if stage == "align":
+        figures |= {"scale_source": "vio", "scale_sd": 0.004, "vertical_source": "gravity", "vertical_sd_deg": 0.1}
     if stage == "import":
         frames = tables["frames"].assign(recording=tables["frames"]["session_id"])
         figures["leak_s"] = leak_seconds(frames, frames["split"].to_numpy(object))
     write_json(
         folder / "manifest.json",
         {
-            "stage": stage, "seed": 0, "simulated": simulated, "settings": {"made": "up"}, "figures": figures,
+            "stage": stage, "seed": 0, "profile": "tiny", "scene": {"name": scene}, "inputs": {},
+            "simulated": simulated, "settings": {"made": "up"}, "figures": figures,
             "seconds": {"step": 1.5}, "total_seconds": 2.0, "finished": "2026-01-01T00:00:00+00:00",
             "peak_memory_mib": 100.0, "versions": {"numpy": "2"}, "git_revision": "abc", "machine": "made up",
             "outputs": hash_files(folder, folder.glob("*.parquet")),

@@ -11,11 +11,12 @@ import pytest
 from matplotlib.lines import Line2D
 
 from groundwalk.reports import style
-from groundwalk.reports.figures import confidence, costs, sensitivity
+from groundwalk.reports.figures import confidence, costs
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.store.choices import MapUnit
-from tests.known import there
 from tests.reports.made_up_scenes import MODELS, MadeUpScene
+
+NO_CARDS = {name: pd.DataFrame({"model": []}) for name in ("cards", "localisers")}
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +27,10 @@ def scene() -> SceneInputs:
         name="Church",
         evaluated_splits="val and test",
         models=list(MODELS),
-        sweep=tables["sweep"],
+        **NO_CARDS,
+        label=str,
+        best=lambda model: "mobilearloc",
+        method_labels={"apr": "", "mobilearloc": "+VIO", "smoother": "+smoother"},
         intervals=tables["intervals"].astype({"high": float}),
         offline={"smoother"},
         raw_methods={"apr"},
@@ -43,30 +47,10 @@ def along_y(line: Line2D) -> list[float]:
     return np.asarray(line.get_ydata(), float).tolist()
 
 
-def test_sensitivity_has_a_line_a_model_in_each_panel(scene: SceneInputs) -> None:
-    sweep = there(scene.sweep)
-    named = sensitivity(scene, sweep)
-    axes = named.figure.axes
-    assert "share of val and test frames" in named.caption
-    assert len(axes) == 12 and all([line.get_label() for line in ax.lines] == scene.models for ax in axes)
-    rows = sweep[(sweep["subset"] == "all") & (sweep["model"] == MODELS[1])]
-    thresholds = ("n", "d_th_m", "o_th_deg", "gamma")
-    for column, threshold in enumerate(thresholds):
-        varied = rows[rows["varied"] == threshold]
-        for row, values in enumerate(
-            (varied["position_mean_m"], varied["rotation_mean_deg"], varied["coverage_pct"] / 10)
-        ):
-            line = axes[4 * row + column].lines[1]
-            assert along_x(line) == list(varied[threshold]) and along_y(line) == pytest.approx(values)
-
-
 def test_intervals_stand_about_each_methods_mean(scene: SceneInputs) -> None:
     named = confidence(scene)
     positions = named.figure.axes[0]
-    assert [t.get_text() for t in positions.get_yticklabels()] == [
-        *(f"{m} {f}" for m in MODELS for f in ("apr", "mobilearloc")),
-        *(f"{m} smoother (offline)" for m in MODELS),
-    ]
+    assert [t.get_text() for t in positions.get_yticklabels()] == [f"{m}{f}" for m in MODELS for f in ("", "+VIO")]
     span, middle = positions.lines[2:4]
     assert along_x(span) == pytest.approx([1.2, 1.95]) and along_x(middle) == [1.5]
     assert "all val and test frames" in named.caption and "their 2 sessions" in named.caption
@@ -98,7 +82,7 @@ def test_costs_stand_where_bytes_time_and_the_median_error_say() -> None:
 def test_a_figure_is_the_same_whatever_a_matplotlibrc_says(tmp_path: Path) -> None:
     def drawn() -> str:
         with style.applied():
-            figure, (ax,) = style.new_figure(1, 1, 2.0)
+            figure, (ax,) = style.new_figure(1, 2.0)
             ax.plot([1, 2], [3, 4])
             return style.save(figure, tmp_path, "line")
 

@@ -1,49 +1,53 @@
-"""Does a set of printed tables agree with itself, and the text with the tables?
+"""`python -m benchmarks.published`: do the paper's printed tables agree with themselves, and its text with them?
 
-Every rule is general: it knows nothing of a scene, and runs on the paper's tables and on ours alike. A printed
-number stands for the interval of numbers that print like it, so that rounding alone is never called a fault.
+Every rule is general: it knows nothing of a scene. A printed number stands for the interval of numbers that print like
+it, so that rounding alone is never called a fault.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD, PrintedTables
+from groundwalk.reports.details import checks
+from groundwalk.reports.grids import PUBLISHED, markdown
+from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD, PrintedTables, load_claims, load_published
+from groundwalk.reports.run_checks import AGREES, CAUTION, DISAGREES, Finding, as_table
 from groundwalk.scoring.errors import ACCURACY_LEVELS
 from groundwalk.scoring.scores import SUBSETS
 
 Interval = tuple[float, float]
-AGREES, DISAGREES, CAUTION = "agrees", "disagrees", "caution"
 _QUANTITIES = ("translation_m", "rotation_deg")
 _LEVELS = list(ACCURACY_LEVELS)
 _EPS = 1e-9
+_HEAD = """# The paper's printed tables, held against each other
+
+Written by `python -m benchmarks.published` from `shipped/published/`: {rules} comparisons. A printed number is taken as
+the interval that rounding leaves open: 0.27 is anything from 0.265 to 0.275, and 4.0 anything from 3.95 to 4.05, since
+a zero may have been dropped. A percentage may have been rounded or cut. Where a share is no whole number of frames, the
+number of frames is found from the accuracy levels printed for the same subset.
+
+| rule | what must hold |
+|---|---|
+| `share_whole` | a share is a whole number of the test frames |
+| `share_sum` | the share of both subsets is the sum of theirs |
+| `level_whole` | a level is a whole number of its frames |
+| `level_order` | high ≤ medium ≤ low |
+| `pooled_level`, `pooled_mean` | figures of both subsets are those of the two, weighted by their frames |
+| `copied_row` | the row of both subsets isn't that of one alone while pooling gives another |
+| `median_between` | a pooled median lies between its parts' medians |
+| `raw_repeated` | the raw regressor over all frames is the same each time it is printed |
+| `average` | the average is the mean over the scenes |
+| `like_for_like` | the raw regressor is there over the fused method's frames |
+| `text_claim` | the paper's text says what its tables say |
+
+These don't agree, or can't be compared as they are printed.
+
+| """
 # "Halved" as a reader takes it: the ratio is 0.5 to one digit.
 _HALF = 0.55
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that was checked: where, what it should be by the rule, what is printed, and the status."""
-
-    check: str
-    table: str
-    scene: str
-    subset: str
-    column: str
-    expected: str
-    printed: str
-    status: str
-    because: str
-
-
-def as_table(findings: list[Finding], source: str) -> pd.DataFrame:
-    """Findings as rows of report.checks."""
-    frame = pd.DataFrame([asdict(f) for f in findings], columns=list(Finding.__dataclass_fields__))
-    frame.insert(0, "source", source)
-    return frame
 
 
 def check_tables(tables: PrintedTables, claims: pd.DataFrame | None = None) -> pd.DataFrame:
@@ -58,6 +62,13 @@ def check_tables(tables: PrintedTables, claims: pd.DataFrame | None = None) -> p
     for _, claim in claims.iterrows() if claims is not None else ():
         findings += _CLAIMS[claim["kind"]](claim, tables)
     return as_table(findings, tables.source)
+
+
+def page() -> str:
+    """docs/results/published.md."""
+    findings = check_tables(load_published(), load_claims())
+    grid = checks(findings, PUBLISHED)
+    return _HEAD.format(rules=len(findings)) + (markdown(grid).partition("\n\n| ")[2] if grid else "")
 
 
 # --- printed numbers as intervals -------------------------------------------------------------------------------
@@ -199,8 +210,6 @@ class _SceneModel:
 
     def _level_frames(self, row: pd.Series) -> int:
         """How many frames a row's levels are shares of."""
-        if "level_frames" in row.index:
-            return int(row["level_frames"])
         return self.frames if row["over"] == "all" else self.counts.get(row["subset"], 0)
 
     def _pooled_levels(self) -> Iterator[Finding]:
@@ -213,10 +222,8 @@ class _SceneModel:
         for level in _LEVELS if parts else ():
             ok = meets(_pooled_interval(parts, level, percent), percent(both[level]))
             expected, printed = f"{_pooled(parts, level):.1f} %", f"{both[level]:g} %"
-            because = (
-                f"{self._pool()} pooled" if "level_frames" not in both.index else "its parts pooled by their frames"
-            )
-            yield self._finding("pooled_level", "III", "rp+opt", f"fused {level}", ok, expected, printed, because)
+            pooled = f"{self._pool()} pooled"
+            yield self._finding("pooled_level", "III", "rp+opt", f"fused {level}", ok, expected, printed, pooled)
 
     def _pool(self) -> str:
         return f"{self.counts['rp']} reliable and {self.counts['opt']} optimised frames"
@@ -423,3 +430,7 @@ _CLAIMS: dict[str, Callable[[pd.Series, PrintedTables], Iterator[Finding]]] = {
     "share": _share,
     "level": _level,
 }
+
+
+if __name__ == "__main__":
+    Path("docs/results/published.md").write_text(page(), encoding="utf-8")

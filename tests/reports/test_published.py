@@ -1,6 +1,7 @@
 """The table checker finds what is wrong in the paper's printed tables, and nothing in tables that are right."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -8,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from groundwalk.reports.checks import AGREES, CAUTION, DISAGREES, check_tables, decimals, meets, percent, rounded, whole
+from benchmarks.published import check_tables, decimals, meets, page, percent, rounded, whole
 from groundwalk.reports.published import PrintedTables, load_claims, load_published
+from groundwalk.reports.run_checks import AGREES, CAUTION, DISAGREES
 from groundwalk.scoring.scores import SUBSETS
 from tests.known import rows
 
@@ -173,3 +175,7 @@ def test_shares_of_many_frames_add_up_where_some_of_the_counts_that_they_stand_f
     errors = pd.DataFrame(columns=[*keys, "subset", "statistic", "translation_m", "rotation_deg"])
     findings = check_tables(PrintedTables("ours", dataset, errors, levels))
     assert set(findings.loc[findings["check"] == "share_sum", "status"]) == {AGREES}
+
+
+def test_the_results_page_is_up_to_date() -> None:
+    assert Path("docs/results/published.md").read_text(encoding="utf-8") == page()

@@ -1,0 +1,167 @@
+"""The walk seen from above, frame by frame: an inline drawing, and the data that the page's script shows of a frame."""
+
+import base64
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+from markupsafe import escape
+
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rows import evenly
+from groundwalk.reports.inputs import SceneInputs
+from groundwalk.reports.verdict import Verdict
+from groundwalk.store.choices import QualityClass
+from groundwalk.store.images import read_image
+from groundwalk.store.progress import track
+
+_WIDTH = 1000.0
+_MIN_HEIGHT, _MAX_HEIGHT = 240.0, 760.0
+_MARGIN = 45.0
+_THUMBNAIL_PX = 176
+MAX_THUMBNAILS = 800
+"""Frames whose image is in the page, spread evenly over the capture: some 4 MB."""
+
+
+def from_above(xyz_N3: Array) -> Array:
+    """Map positions (N, 3), +y up, as picture coordinates (N, 2) seen from above."""
+    return np.stack([xyz_N3[:, 0], -xyz_N3[:, 2]], axis=1)
+
+
+def long_side_level(xy_N2: Array) -> Array:
+    """The rotation (2, 2), for rows from the right, that lays the long side of a walk level: a map's heading is
+    arbitrary, and a page is wide."""
+    known = xy_N2[np.isfinite(xy_N2).all(axis=1)]
+    if len(known) < 2:
+        return np.eye(2)
+    long_side = np.linalg.svd(known - known.mean(axis=0))[2][0]
+    x, y = long_side if long_side[0] >= 0 else -long_side
+    return np.array([[x, -y], [y, x]])
+
+
+def round_length(length: float) -> float:
+    """The nearest of 1, 2, 5 times a power of ten that isn't longer."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(max(m * power for m in (1, 2, 5) if m * power <= length))
+
+
+def draw(scene: SceneInputs, verdict: Verdict) -> str:
+    """The map as SVG: VIO's path, the ground truth's, and a mark a frame, whose class is its quality; frames without
+    ground truth stand where VIO has them. Empty where no frame has a place."""
+    frames = verdict.frames
+    truth, vio = (from_above(frames[list(columns)].to_numpy(float)) for columns in ("xyz", ["vio_x", "vio_y", "vio_z"]))
+    level = long_side_level(truth)
+    # Pictures have y downwards.
+    truth, vio = truth @ level * [1, -1], vio @ level * [1, -1]
+    places = np.where(np.isnan(truth), vio, truth)
+    known = np.concatenate([places, vio])[np.isfinite(np.concatenate([places, vio])).all(axis=1)]
+    if not len(known):
+        return ""
+    low, extent = known.min(axis=0), np.maximum(np.ptp(known, axis=0), 1e-3)
+    scale = min((_WIDTH - 2 * _MARGIN) / extent[0], (_MAX_HEIGHT - 2 * _MARGIN) / extent[1])
+    size = np.array([_WIDTH, max(_MIN_HEIGHT, scale * extent[1] + 2 * _MARGIN)])
+    origin = (size - scale * extent) / 2
+
+    def drawn(xy_N2: Array) -> Array:
+        return origin + scale * (xy_N2 - low)
+
+    radius = float(np.clip(130 / math.sqrt(len(frames)), 4.5, 11))
+    label = f"{scene.name} from above: {len(frames)} frames"
+    parts = [f'<svg class="walk" viewBox="0 0 {size[0]:.0f} {size[1]:.0f}" role="img" aria-label="{escape(label)}">']
+    for name, path in (("vio", drawn(vio)), ("truth", drawn(truth))):
+        for rows in frames.groupby("session_id").indices.values():
+            parts += [f'<polyline class="{name}" points="{line}"/>' for line in _lines(path[rows])]
+    for row, (x, y) in enumerate(drawn(places)):
+        if math.isfinite(x):
+            title = escape(f"{frames['frame_id'][row]}: {_meaning(frames, row)}")
+            mark = f'class="q-{frames["quality"][row]}" data-row="{row}" cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}"'
+            parts.append(f"<circle {mark}><title>{title}</title></circle>")
+    length = round_length(extent[0] / 4)
+    right, bottom = size[0] - 12, size[1] - 12
+    parts.append(f'<path class="bar" d="M{right - scale * length:.1f} {bottom:.1f}H{right:.1f}"/>')
+    parts.append(f'<text x="{right:.1f}" y="{bottom - 8:.1f}">{length:g} {scene.unit.symbol}</text></svg>')
+    return "".join(parts)
+
+
+def _meaning(frames: pd.DataFrame, row: int) -> str:
+    quality = frames["quality"][row]
+    return f"no ground truth: {frames['reason'][row]}" if quality == QualityClass.NONE else f"class {quality}"
+
+
+def _lines(xy_N2: Array) -> list[str]:
+    """The pieces of a path between unknown positions, as an SVG polyline's points."""
+    known = np.isfinite(xy_N2).all(axis=1)
+    pieces = np.split(xy_N2, np.flatnonzero(~known))
+    lines = (" ".join(f"{x:.1f},{y:.1f}" for x, y in piece[np.isfinite(piece).all(axis=1)]) for piece in pieces)
+    return [line for line in lines if " " in line]
+
+
+def frame_data(scene: SceneInputs, verdict: Verdict, image_path: Callable[[str], Path]) -> str:
+    """What the script shows of each row of `verdict.frames`, and colours the map by, as JSON that can stand in HTML.
+
+    UserError where an image can't be read any more.
+    """
+    frames = verdict.frames
+    poses = scene.frames.set_index("frame_id").loc[frames["frame_id"]]
+    unit = scene.unit.symbol
+    figures: dict[str, pd.Series] = {
+        f"sigma, position ({unit})": frames["position_sd"],
+        "sigma, rotation (°)": frames["rotation_sd_deg"],
+        f"VIO from ground truth ({unit})": frames["vio_error"],
+        f"ground truth from the truth ({unit})": frames["true_error"],
+    }
+    for model in scene.models:
+        best, label = scene.best(model), scene.label(model)
+        fused = scene.frame_errors(model, best).set_index("frame_id")
+        figures[f"{label} alone ({unit})"] = fused["apr_position_m"].reindex(frames["frame_id"])
+        if best and best not in scene.raw_methods:
+            name = f"{label}{scene.method_labels[best]} in time ({unit})"
+            figures[name] = fused["live_position_m"].reindex(frames["frame_id"])
+    shown = set(evenly(len(frames), MAX_THUMBNAILS))
+    images = [
+        thumbnail(image_path(image), x, y) if row in shown else ""
+        for row, (image, x, y) in enumerate(
+            track(list(zip(poses["image"], poses["gravity_x"], poses["gravity_y"], strict=True)), "reading images")
+        )
+    ]
+    content = {
+        "unit": unit,
+        "id": frames["frame_id"].tolist(),
+        "split": frames["split"].tolist(),
+        "class": frames["quality"].astype(str).tolist(),
+        "reason": frames["reason"].tolist(),
+        "time": _numbers(frames["seconds"]),
+        "place": [_numbers(frames[axis]) for axis in "xyz"],
+        "figures": {name: _numbers(values) for name, values in figures.items() if values.notna().any()},
+        "image": images,
+    }
+    return json.dumps(content, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _numbers(values: Any) -> list[float | None]:
+    return [float(f"{v:.4g}") if math.isfinite(v) else None for v in np.asarray(values, dtype=float)]
+
+
+def thumbnail(path: Path, gravity_x: float, gravity_y: float) -> str:
+    """A small upright JPEG of an image as a data address."""
+    image = cv2.cvtColor(read_image(path, quartered=True), cv2.COLOR_RGB2BGR)
+    scale = min(1.0, _THUMBNAIL_PX / max(image.shape[:2]))
+    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    done, jpeg = cv2.imencode(".jpg", upright(small, gravity_x, gravity_y), [cv2.IMWRITE_JPEG_QUALITY, 70])
+    if not done:
+        raise RuntimeError(f"no JPEG of {path}")
+    return f"data:image/jpeg;base64,{base64.b64encode(jpeg.tobytes()).decode()}"
+
+
+def upright(image: np.ndarray, gravity_x: float, gravity_y: float) -> np.ndarray:
+    """An image turned by quarters so that gravity (camera axes, x right, y down) points down in it as far as it can."""
+    if math.isnan(gravity_x) or math.isnan(gravity_y):
+        return image
+    quarters = round(math.degrees(math.atan2(gravity_x, gravity_y)) / 90) % 4
+    turns = {1: cv2.ROTATE_90_CLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_COUNTERCLOCKWISE}
+    return cv2.rotate(image, turns[quarters]) if quarters else image

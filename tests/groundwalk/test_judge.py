@@ -1,0 +1,83 @@
+"""`groundwalk judge`: its exit status, what it leaves where, and captures that it can't judge."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from groundwalk import commands
+from groundwalk.pipeline import Reported, Step
+from groundwalk.store.errors import UserError
+from groundwalk.store.files import write_json
+from groundwalk.store.settings import DataRoot
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    folder = tmp_path / "my walk & more"
+    folder.mkdir()
+    (folder / "frame_00000.json").write_text("{}")
+    return folder
+
+
+def judge(*arguments: object) -> int:
+    done = CliRunner().invoke(commands.app, ["judge", *map(str, arguments)])
+    if isinstance(done.exception, UserError):
+        raise done.exception
+    return done.exit_code
+
+
+@pytest.mark.parametrize(("verdict", "status"), [("accepted", 0), ("undecided", 3), ("refused", 4)])
+def test_the_exit_status_is_the_verdict(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdict: str, status: int
+) -> None:
+    asked: list[Step] = []
+
+    def run_steps(steps: list[Step], profile: str, data: DataRoot) -> None:
+        asked.extend(steps)
+        report = data.run(profile, steps[0].scene, "report")
+        report.mkdir(parents=True)
+        write_json(report / "verdict.json", {"verdict": verdict, "why": "because"})
+        (report / "page.html").write_text("a page")
+        if verdict == "refused":
+            raise Reported(2)
+
+    monkeypatch.setattr(commands, "run_steps", run_steps)
+    out = tmp_path / "out"
+    assert judge(capture, "--out", out) == status
+    assert [step.command for step in asked] == ["import", "sfm", "align", "report"]
+    assert json.loads((out / "verdict.json").read_text())["verdict"] == verdict
+    assert (out / "page.html").read_text() == "a page"
+    link = out / "data" / "captures" / asked[0].scene
+    assert link.is_symlink() and link.resolve() == capture
+    assert [path.name for path in capture.iterdir()] == ["frame_00000.json"]
+
+
+def test_a_shipped_scene_takes_no_part_and_what_stops_a_stage_keeps_its_status(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "Church"
+    folder.mkdir()
+    (folder / "frame_00000.json").write_text("{}")
+    asked: list[Step] = []
+
+    def run_steps(steps: list[Step], *_: object) -> None:
+        asked.extend(steps)
+        raise SystemExit(143)
+
+    monkeypatch.setattr(commands, "run_steps", run_steps)
+    assert judge(folder, "--out", tmp_path / "out") == 143
+    assert {step.scene for step in asked} == {"Church-capture"} and asked[0].command == "import"
+
+
+def test_photos_alone_and_no_folder_are_said_in_a_sentence(tmp_path: Path) -> None:
+    photos = tmp_path / "photos" / "day 1"
+    photos.mkdir(parents=True)
+    for name in ("a.JPG", "b.heic", "c.mov"):
+        (photos / name).touch()
+    with pytest.raises(UserError, match=r"(?s)photos or videos alone: without the phone's poses.*capture-formats"):
+        judge(photos.parent, "--out", tmp_path / "out")
+    with pytest.raises(UserError, match="there is no such folder"):
+        judge(tmp_path / "nowhere")
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,105 @@
+"""The page in a real browser: nothing is fetched, nothing overflows, and its controls show what the tables hold."""
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from groundwalk.reports.definition import STAGE
+from groundwalk.store.schemas import schema
+from groundwalk.store.settings import DataRoot
+from groundwalk.store.stage import execute
+from groundwalk.store.tables import read_table
+
+BROWSER = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+api = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install -e '.[page]'")
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="no browser: apt-get install chromium")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[api.Browser]:
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def run(make_run: Callable[..., DataRoot]) -> Path:
+    data = make_run(Yard={"train": 30, "test": 20, "uncertain": 0.2, "localisers": ("Map",)})
+    execute(STAGE, "Yard", "tiny", data)
+    return data.run("tiny", "Yard")
+
+
+@pytest.fixture(scope="module")
+def aligned(make_run: Callable[..., DataRoot]) -> Path:
+    """A run that ended with align, of sessions with long names."""
+    data = make_run(simulated=False, Yard={"train": 30, "test": 20})
+    for stage in ("localise", "train", "fuse"):
+        shutil.rmtree(data.run("tiny", "Yard", stage))
+    execute(STAGE, "Yard", "tiny", data)
+    return data.run("tiny", "Yard")
+
+
+@pytest.mark.parametrize("width", [360, 768, 1280])
+@pytest.mark.parametrize("which", ["run", "aligned"])
+def test_nothing_is_fetched_and_nothing_overflows(
+    browser: api.Browser, request: pytest.FixtureRequest, which: str, width: int
+) -> None:
+    context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme="dark")
+    page, said, asked = context.new_page(), [], []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda r: asked.append(r.url) if not r.url.startswith(("file:", "data:")) else None)
+    page.goto((request.getfixturevalue(which) / "report" / "page.html").as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") == width
+    right = "[...document.querySelectorAll('td, th, svg, img, dd')].map(e => e.getBoundingClientRect().right)"
+    assert max(page.evaluate(right)) <= width
+    assert not said and not asked
+    context.close()
+
+
+def test_a_frame_can_be_asked_what_it_is(browser: api.Browser, run: Path) -> None:
+    truth = read_table(run / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
+    truth = truth.sort_values(["session_id", "t_ns"]).set_index("frame_id")
+    errors = read_table(run / "fuse" / "errors.parquet", schema("fuse", "errors"))
+    alone = errors[errors["model"] == "PN"].drop_duplicates("frame_id").set_index("frame_id")["apr_position_m"]
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto((run / "report" / "page.html").as_uri())
+
+    def shown() -> dict[str, str]:
+        names, texts = page.locator(".frame dt").all_text_contents(), page.locator(".frame dd").all_text_contents()
+        return {"id": page.locator(".frame h3").inner_text(), **dict(zip(names, texts, strict=True))}
+
+    slider = page.locator(".controls input")
+    slider.focus()
+    for _ in range(5):
+        page.keyboard.press("ArrowRight")
+    found = shown()
+    assert found["id"] == truth.index[5] and found["split"] == truth["split"].iloc[5]
+    assert float(found["PN alone (m)"]) == pytest.approx(alone[found["id"]], rel=0.01)
+    assert float(found["sigma, position (m)"]) == pytest.approx(truth["position_sd_m"].iloc[5])
+    assert page.locator(".frame img").get_attribute("src").startswith("data:image/jpeg")
+    mark = page.locator('circle[data-row="40"]')
+    mark.click(force=True)
+    assert shown()["id"] == truth.index[40] and "chosen" in mark.get_attribute("class")
+    fill = "e => getComputedStyle(e).fill"
+    before = mark.evaluate(fill)
+    page.locator(".controls select").select_option("PN alone (m)")
+    assert mark.evaluate(fill) != before and page.locator(".legend").is_visible()
+    page.locator(".controls select").select_option("")
+    assert mark.evaluate(fill) == before and not page.locator(".legend").is_visible()
+    page.close()
+
+
+def test_without_script_all_tables_and_drawings_stand(browser: api.Browser, run: Path) -> None:
+    context = browser.new_context(java_script_enabled=False, viewport={"width": 1280, "height": 900})
+    page = context.new_page()
+    page.goto((run / "report" / "page.html").as_uri())
+    assert page.locator(".walk circle").count() > 90 and page.locator(".picture svg").count() >= 7
+    for table in ("headline-Yard", "problems-Yard", "quality-Yard", "table1", "table4"):
+        assert page.locator(f"#{table} table").first.is_visible()
+    assert not page.locator(".controls").is_visible()
+    context.close()

@@ -1,0 +1,198 @@
+"""The verdict on a capture: what the page and verdict.json say after each stage, and of what was refused."""
+
+import json
+import shutil
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import groundwalk
+from groundwalk.fusion.evaluation.summary import summarise
+from groundwalk.geometry.poses import make_pose, yaw_rotation
+from groundwalk.reports import stage
+from groundwalk.reports.definition import STAGE
+from groundwalk.store.files import write_json
+from groundwalk.store.manifests import load_manifest, output_hashes
+from groundwalk.store.schemas import schema
+from groundwalk.store.settings import DataRoot
+from groundwalk.store.stage import execute
+from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
+from tests.reports.test_stage import rows_of
+
+MakeRun = Callable[..., DataRoot]
+LATER = ("localise", "train", "fuse")
+
+
+@pytest.fixture(autouse=True)
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing takes most of a small report's time."""
+    parts: dict[str, list[object]] = {part: [] for part in ("drift", "training", "errors", "trajectories")}
+    monkeypatch.setattr(stage, "scene_figures", lambda scene: parts)
+
+
+def rewrite(data: DataRoot, scene: str, stage: str, table: str, content: pd.DataFrame) -> None:
+    folder = data.run("tiny", scene, stage)
+    write_table(folder / f"{table}.parquet", content, schema(stage, table))
+    write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})
+
+
+def table_of(data: DataRoot, scene: str, stage: str, table: str) -> pd.DataFrame:
+    return read_table(data.run("tiny", scene, stage) / f"{table}.parquet", schema(stage, table))
+
+
+def judged(data: DataRoot, scene: str) -> tuple[str, dict]:
+    """The page, and verdict.json."""
+    folder = execute(STAGE, scene, "tiny", data)
+    return (folder / "page.html").read_text(encoding="utf-8"), json.loads((folder / "verdict.json").read_text())
+
+
+def test_the_page_grows_with_the_stages_that_are_finished(make_run: MakeRun) -> None:
+    data = make_run(simulated=False, Yard={"train": 12, "test": 8, "localisers": ("Map",)})
+    run, aside = data.run("tiny", "Yard"), data.root / "aside"
+    shutil.move(run, aside)
+    run.mkdir()
+    sections = {"import": "verdict capture made", "align": "verdict capture ground-truth made",
+                "train": "verdict capture ground-truth localisers made",
+                "fuse": "verdict capture ground-truth localisers fusion all-checks made"}  # fmt: skip
+    for name in ("import", "sfm", "align", "localise", "train", "fuse"):
+        shutil.move(aside / name, run / name)
+        if name in sections:
+            page, verdict = judged(data, "Yard")
+            assert [part.split('"')[0] for part in page.split('<section id="')[1:]] == sections[name].split()
+            assert verdict["verdict"] == ("not judged yet" if name == "import" else "accepted")
+    # What was made from another alignment than there is now takes no part.
+    manifest = load_manifest(run / "fuse")
+    write_json(run / "fuse" / "manifest.json", manifest | {"inputs": {"Yard/align": {"ground_truth.parquet": "other"}}})
+    assert 'id="fusion"' not in judged(data, "Yard")[0]
+
+
+def test_verdict_json_has_every_frame_as_the_ground_truth_has_it(make_run: MakeRun) -> None:
+    data = make_run(simulated=False, Yard={"train": 30, "test": 20, "uncertain": 0.2})
+    page, verdict = judged(data, "Yard")
+    truth = table_of(data, "Yard", "align", "ground_truth").set_index("frame_id")
+    frames = {frame["frame_id"]: frame for frame in verdict["frames"]}
+    assert set(frames) == set(truth.index)
+    for frame_id, row in truth.iterrows():
+        assert (frames[frame_id]["quality"], frames[frame_id]["reason"]) == (row["quality"], row["reason"])
+        assert frames[frame_id]["x"] == (
+            None if np.isnan(row["map_cam_tx"]) else pytest.approx(row["map_cam_tx"], 1e-5)
+        )
+    counts = truth["quality"].value_counts()
+    headline = verdict["headline"]
+    assert [headline[f"class_{name}"] for name in ("A", "C", "none")] == [counts["A"], counts["C"], counts["none"]]
+    assert headline["trusted_share"] == pytest.approx(counts["A"] / len(truth), rel=1e-4)
+    assert verdict["captures"] == "real" and verdict["true_errors"] is None
+    assert [row["distance_m"] for row in verdict["vio_error_by_distance"]] == [5.0, 10.0, 20.0, 50.0]
+    shown = {row[0]: int(row[1]) for row in rows_of(data.run("tiny", "Yard", "report"), "quality-Yard")}
+    assert shown == counts.to_dict()
+    assert page.count("<circle ") == len(truth) and page.count('class="q-C"') == counts["C"]
+
+
+def test_uncertain_scale_or_too_few_sure_frames_leave_it_undecided(make_run: MakeRun) -> None:
+    data = make_run(Yard={"train": 12, "test": 8, "uncertain": 0.7}, Lane={"train": 12, "test": 8})
+    assert judged(data, "Yard")[1]["verdict"] == "undecided"
+    checks = table_of(data, "Lane", "align", "checks")
+    scale = checks.iloc[[-1]].assign(check="map_scale", reason="scale: 2.8 % (limit 2 %)", advice="a longer walk")
+    rewrite(data, "Lane", "align", "checks", pd.concat([checks, scale]))
+    _, verdict = judged(data, "Lane")
+    assert verdict["verdict"] == "undecided" and "scale: 2.8 % (limit 2 %)" in verdict["why"]
+    assert {
+        "what": "check map_scale undecided",
+        "count": 10,
+        "why": scale["reason"].iloc[0],
+        "do": "a longer walk",
+    } in (verdict["problems"])
+
+
+def test_a_refused_capture_says_why_and_what_to_do(make_run: MakeRun) -> None:
+    data = make_run(simulated=False, Yard={"train": 12, "test": 8})
+    run = data.run("tiny", "Yard")
+    for name in ("align", *LATER):
+        shutil.rmtree(run / name)
+    (run / ".align.partial").mkdir()
+    why = {"what": "the SfM model fails its consistency checks: <b>aliasing</b>", "do": "record & retry 100 %"}
+    write_json(run / ".align.partial" / "stopped.json", why)
+    page, verdict = judged(data, "Yard")
+    assert verdict["verdict"] == "refused" and verdict["why"] == why["what"]
+    assert {frame["quality"] for frame in verdict["frames"]} == {"none"}
+    assert "&lt;b&gt;aliasing" in page and "<b>aliasing" not in page and "record &amp; retry 100 %" in page
+
+
+def test_hostile_names_stay_text(make_run: MakeRun) -> None:
+    data = make_run(simulated=False, Yard={"train": 12, "test": 8})
+    evil = "</script><script>alert(1)</script>&_%"
+    rewrite(data, "Yard", "align", "ground_truth", table_of(data, "Yard", "align", "ground_truth").assign(reason=evil))
+    rewrite(data, "Yard", "import", "sessions", table_of(data, "Yard", "import", "sessions").assign(device=evil))
+    page, _ = judged(data, "Yard")
+    assert evil not in page and page.count("<script") == 2 and "alert(1)" in page
+
+
+def test_a_simulated_scene_has_stated_beside_true(make_run: MakeRun) -> None:
+    data = make_run(simulated=True, Yard={"train": 30, "test": 20})
+    truth = table_of(data, "Yard", "align", "ground_truth")
+    map_T_cam = poses_of(truth, "map_cam")
+    rng = np.random.default_rng(0)
+    off = np.tile(np.eye(4), (len(truth), 1, 1))
+    off[:, :3, 3] = rng.normal(0, 0.02, (len(truth), 3))
+    true_T_map = make_pose(yaw_rotation(0.7), np.array([3.0, 0.5, -2.0]))
+    covariance = np.diag([1e-6] * 3 + [0.02**2] * 3).ravel()
+    stated = truth.assign(covariance=[None if np.isnan(p[0, 0]) else covariance for p in map_T_cam])
+    rewrite(data, "Yard", "align", "ground_truth", stated)
+    keys = truth[["session_id", "t_ns"]]
+    poses = pd.concat([keys, pose_frame("map_cam", true_T_map @ off @ map_T_cam)], axis=1)
+    poses = poses.dropna(subset=["map_cam_tx"])
+    of = schema("simulate", "true_poses")
+    write_table(data.captures("Yard") / "true_poses.parquet", poses[of.column_names], of)
+    page, verdict = judged(data, "Yard")
+    errors = verdict["true_errors"]
+    expected = np.median(np.linalg.norm(off[:, :3, 3], axis=1))
+    assert errors["position"] == pytest.approx(expected, rel=0.1) and errors["position_stated"] == pytest.approx(0.02)
+    assert 88 < errors["position_within"] <= 100 and errors["scale"] < 0.1 and errors["vertical_deg"] < 0.1
+    assert "Stated against true" in page and "ground truth from the truth (m)" in page
+
+
+def test_page_tables_terminal_summary_and_errors_agree_on_who_has_a_pose(
+    make_run: MakeRun, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = make_run(Yard={"train": 30, "test": 20, "localisers": ("Map",)})
+    errors = table_of(data, "Yard", "fuse", "errors")
+    errors = errors[errors["split"] == "test"].reset_index(drop=True)
+    rewrite(data, "Yard", "fuse", "errors", errors)
+    rewrite(data, "Yard", "fuse", "summary", summarise(errors).assign(map_unit="metres"))
+    folder = execute(STAGE, "Yard", "tiny", data)
+    said = capsys.readouterr().err
+    cells = read_table(folder / "cells.parquet", schema("report", "cells"))
+    table4 = (folder / "tables" / "table4.md").read_text()
+    headline = {row[0]: row for row in rows_of(folder, "headline-Yard")}
+    run = groundwalk.open("Yard", profile="tiny", data=data.root)
+    summary = run.summary()
+    for model in ("PN", "MS-T", "Map"):
+        for method, name in (("apr", f"{model}, alone"), ("mobilearloc", f"{model}+VIO")):
+            rows = run.errors[(run.errors["model"] == model) & (run.errors["method"] == method)]
+            answered, frames = int(rows["live_position_m"].notna().sum()), len(rows)
+            coverage, median = 100 * answered / frames, rows["live_position_m"].fillna(np.inf).median()
+            of_way = cells[(cells["model"] == model) & (cells["method"] == method) & (cells["row"] == "all")]
+            of_way = of_way[of_way["table"] == "IV"].set_index(["statistic", "quantity"])["value"]
+            assert of_way["coverage", "frames"] == pytest.approx(coverage)
+            assert of_way["median", "translation"] == pytest.approx(median)
+            assert headline[name][1] == f"{median:.2f}" if median > 0.1 else f"{median:.3f}"
+            assert headline[name][4] == f"{coverage:.1f}"
+            label = model if method == "apr" else name
+            assert f"| Yard | {label} | {coverage:.1f} |" in table4
+            assert f"Yard: {name}: median {headline[name][1]} m" in said and f"{coverage:.1f} % have a pose" in said
+            assert f"{method}, {model}" in summary
+            line = next(line for line in summary.splitlines() if line.startswith(f"{method}, {model} "))
+            assert f"median {median:.2f} m" in line and f"{answered} of {frames} test frames have a pose" in line
+    # What the paper's rule scores isn't called what it answers.
+    assert "answers" not in (folder / "tables" / "table2.md").read_text()
+
+
+def test_headlines_say_what_stands_by_them(make_run: MakeRun) -> None:
+    for simulated, kind in ((True, "Simulated"), (False, "Measured")):
+        data = make_run(simulated=simulated, Yard={"train": 12, "test": 8})
+        page, _ = judged(data, "Yard")
+        caption = page[page.index('id="headline-Yard"') :].split("</figcaption>")[0]
+        assert f"{kind}, over 15 test frames with ground truth of 16" in caption
+        assert "own sigma there is 0.0050 m" in caption and "15 of these queries took part" in caption
