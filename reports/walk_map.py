@@ -149,7 +149,7 @@ def _numbers(values: Any) -> list[float | None]:
 
 def thumbnail(path: Path, gravity_x: float, gravity_y: float) -> str:
     """A small upright JPEG of an image as a data address."""
-    image = cv2.cvtColor(read_image(path, quartered=True), cv2.COLOR_RGB2BGR)
+    image = cv2.cvtColor(read_image(path, halved=True), cv2.COLOR_RGB2BGR)
     scale = min(1.0, _THUMBNAIL_PX / max(image.shape[:2]))
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     done, jpeg = cv2.imencode(".jpg", upright(small, gravity_x, gravity_y), [cv2.IMWRITE_JPEG_QUALITY, 70])

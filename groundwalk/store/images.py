@@ -43,13 +43,13 @@ def verify_images(captures: Path, imported: Path) -> None:
         )
 
 
-def read_image(path: Path, *, quartered: bool = False) -> Image:
+def read_image(path: Path, *, halved: bool = False) -> Image:
     """An image file as RGB (H, W, 3), as the sensor has it (a turn in the file's EXIF is left out, since poses and
-    intrinsics are the sensor's); `quartered` a fourth as wide and high, which a JPEG is decoded to at once. UserError
+    intrinsics are the sensor's); `halved` half as wide and high, which a JPEG is decoded to at once. UserError
     where it isn't there or can't be decoded."""
     # OpenCV prints a warning of its own for a file that isn't there.
     is_there = path.exists()
-    colours = cv2.IMREAD_REDUCED_COLOR_4 if quartered else cv2.IMREAD_COLOR_BGR
+    colours = cv2.IMREAD_REDUCED_COLOR_2 if halved else cv2.IMREAD_COLOR_BGR
     image = cv2.imread(str(path), colours | cv2.IMREAD_IGNORE_ORIENTATION) if is_there else None
     if image is None:
         actual = "a file that isn't an image" if is_there else "no such file"

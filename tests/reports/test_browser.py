@@ -18,12 +18,22 @@ api = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip inst
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no browser: apt-get install chromium")
 
 
+_PATIENCE_MS = 240_000  # a busy machine's browser is slow
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[api.Browser]:
     with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"], timeout=_PATIENCE_MS)
         yield browser
         browser.close()
+
+
+def opened(context: api.BrowserContext, run: Path) -> api.Page:
+    page = context.new_page()
+    page.set_default_timeout(_PATIENCE_MS)
+    page.goto((run / "report" / "page.html").as_uri())
+    return page
 
 
 @pytest.fixture(scope="module")
@@ -49,11 +59,12 @@ def test_nothing_is_fetched_and_nothing_overflows(
     browser: api.Browser, request: pytest.FixtureRequest, which: str, width: int
 ) -> None:
     context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme="dark")
-    page, said, asked = context.new_page(), [], []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.on("request", lambda r: asked.append(r.url) if not r.url.startswith(("file:", "data:")) else None)
-    page.goto((request.getfixturevalue(which) / "report" / "page.html").as_uri())
+    said: list[str] = []
+    asked: list[str] = []
+    context.on("console", lambda message: said.append(message.text))
+    context.on("weberror", lambda error: said.append(str(error.error)))
+    context.on("request", lambda r: asked.append(r.url) if not r.url.startswith(("file:", "data:")) else None)
+    page = opened(context, request.getfixturevalue(which))
     assert page.evaluate("document.documentElement.scrollWidth") == width
     right = "[...document.querySelectorAll('td, th, svg, img, dd')].map(e => e.getBoundingClientRect().right)"
     assert max(page.evaluate(right)) <= width
@@ -66,8 +77,8 @@ def test_a_frame_can_be_asked_what_it_is(browser: api.Browser, run: Path) -> Non
     truth = truth.sort_values(["session_id", "t_ns"]).set_index("frame_id")
     errors = read_table(run / "fuse" / "errors.parquet", schema("fuse", "errors"))
     alone = errors[errors["model"] == "PN"].drop_duplicates("frame_id").set_index("frame_id")["apr_position_m"]
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.goto((run / "report" / "page.html").as_uri())
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    page = opened(context, run)
 
     def shown() -> dict[str, str]:
         names, texts = page.locator(".frame dt").all_text_contents(), page.locator(".frame dd").all_text_contents()
@@ -91,13 +102,12 @@ def test_a_frame_can_be_asked_what_it_is(browser: api.Browser, run: Path) -> Non
     assert mark.evaluate(fill) != before and page.locator(".legend").is_visible()
     page.locator(".controls select").select_option("")
     assert mark.evaluate(fill) == before and not page.locator(".legend").is_visible()
-    page.close()
+    context.close()
 
 
 def test_without_script_all_tables_and_drawings_stand(browser: api.Browser, run: Path) -> None:
     context = browser.new_context(java_script_enabled=False, viewport={"width": 1280, "height": 900})
-    page = context.new_page()
-    page.goto((run / "report" / "page.html").as_uri())
+    page = opened(context, run)
     assert page.locator(".walk circle").count() > 90 and page.locator(".picture svg").count() >= 7
     for table in ("headline-Yard", "problems-Yard", "quality-Yard", "table1", "table4"):
         assert page.locator(f"#{table} table").first.is_visible()
