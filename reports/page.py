@@ -67,10 +67,12 @@ def facts(scene: SceneInputs, verdict: Verdict) -> list[tuple[str, str, str]]:
     shown.append(
         (f"{share:.0f} %", "of frames can be trusted", f"{len(trusted)} of class A or B; by class: {by_class}")
     )
-    if len(trusted):
-        metres, degrees = (trusted[c].quantile(0.95) for c in ("position_sd", "rotation_sd_deg"))
-        what = "to which 95 % of these are known: one sigma, least certain axis"
-        half = f"half to ± {per * trusted['position_sd'].median():.2g} {unit}"
+    known = trusted if len(trusted) else verdict.with_truth
+    if known["position_sd"].notna().any():
+        metres, degrees = (known[c].quantile(0.95) for c in ("position_sd", "rotation_sd_deg"))
+        which = "these" if len(trusted) else "those with ground truth"
+        what = f"to which 95 % of {which} are known: one sigma, least certain axis"
+        half = f"half to ± {per * known['position_sd'].median():.2g} {unit}"
         shown.append((f"± {per * metres:.2g} {unit}, ± {degrees:.2g}°", what, half))
     covered = f"longest stretch without such a frame: {longest:.1f} {scene.unit.symbol}"
     if coverage == coverage:

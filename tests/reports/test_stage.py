@@ -185,7 +185,7 @@ def test_a_map_without_metric_scale_is_marked_everywhere(
     page = (folder / "page.html").read_text(encoding="utf-8")
     head, summary = page[: page.index("<main>")], page[page.index('id="verdict"') : page.index('id="capture"')]
     assert 'id="without-scale"' in head and "[import] reference_is_metric = true in data/scenes/Yard.toml" in head
-    assert re.search(r"<b>\d.* map units, \d.*°</b>", summary) and not re.search(r"<b>.* m, ", summary)
+    assert re.search(r"<b>± \d.* map units, ± \d.*°</b>", summary) and not re.search(r"<b>.* m, ", summary)
     assert "(m)" not in page[page.index('id="walks-Yard"') : page.index('id="all-checks"')]
     lengths = cells_of(folder, source="ours", quantity="translation")
     assert len(lengths) and set(lengths["unit"]) == {"map units"}
@@ -434,7 +434,7 @@ def test_near_copies_in_training_mean_that_accuracy_means_nothing() -> None:
         (0.01, []),
         (None, []),
     ):
-        made = SimpleNamespace(training_frames=500, leak_s=None, near_copies=near)
+        made = SimpleNamespace(training_frames=500, leak_s=None, near_copies=near, cards=["PN"])
         assert SceneInputs.why_meaningless(cast(SceneInputs, made)) == reasons
 
 
