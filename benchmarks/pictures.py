@@ -36,7 +36,10 @@ def page(
         shot = Path(folder, "page.png")
         options = ["--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1280,1080", f"--screenshot={shot}"]
         subprocess.run([browser, *options, file.resolve().as_uri()], check=True, capture_output=True)
-        cv2.imwrite(str(out), cv2.imread(str(shot)), [cv2.IMWRITE_JPEG_QUALITY, 88])
+        picture = cv2.imread(str(shot))
+        if picture is None:
+            raise UserError("the browser took no picture", where=file)
+        cv2.imwrite(str(out), picture, [cv2.IMWRITE_JPEG_QUALITY, 88])
     print(out)
 
 

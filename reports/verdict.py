@@ -210,12 +210,13 @@ def _true_residuals(scene: SceneInputs) -> tuple[Array, Array]:
 
 def _true_errors(scene: SceneInputs) -> TrueErrors | None:
     metres, degrees = _true_residuals(scene)
-    stated = (np.isfinite(metres) & scene.ground_truth["covariance"].notna()).to_numpy(bool)
+    stated = np.isfinite(metres) & scene.ground_truth["covariance"].notna().to_numpy(bool)
     if scene.true_T_cam is None or not stated.any():
         return None
     map_T_cam, true_T_cam = poses_of(scene.ground_truth, "map_cam")[stated], scene.true_T_cam[stated]
     covariance = np.stack(list(scene.ground_truth.loc[stated, "covariance"])).reshape(-1, 6, 6)
-    true_T_map, true_S_map = (fit(true_T_cam[:, :3, 3], map_T_cam[:, :3, 3]) for fit in (fit_yaw, fit_sim3))
+    true_T_map = fit_yaw(true_T_cam[:, :3, 3], map_T_cam[:, :3, 3])
+    true_S_map = fit_sim3(true_T_cam[:, :3, 3], map_T_cam[:, :3, 3])
     # Both in the map's axes, in which the covariances are.
     within = within_bounds(map_T_cam, np.linalg.inv(true_T_map) @ true_T_cam, covariance)
     position_sd, rotation_sd = (

@@ -4,6 +4,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,14 +23,14 @@ _PATIENCE_MS = 240_000  # a busy machine's browser is slow
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[api.Browser]:
+def browser() -> Iterator[Any]:
     with api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"], timeout=_PATIENCE_MS)
         yield browser
         browser.close()
 
 
-def opened(context: api.BrowserContext, run: Path) -> api.Page:
+def opened(context: Any, run: Path) -> Any:
     page = context.new_page()
     page.set_default_timeout(_PATIENCE_MS)
     page.goto((run / "report" / "page.html").as_uri())
@@ -56,7 +57,7 @@ def aligned(make_run: Callable[..., DataRoot]) -> Path:
 @pytest.mark.parametrize("width", [360, 768, 1280])
 @pytest.mark.parametrize("which", ["run", "aligned"])
 def test_nothing_is_fetched_and_nothing_overflows(
-    browser: api.Browser, request: pytest.FixtureRequest, which: str, width: int
+    browser: Any, request: pytest.FixtureRequest, which: str, width: int
 ) -> None:
     context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme="dark")
     said: list[str] = []
@@ -72,7 +73,7 @@ def test_nothing_is_fetched_and_nothing_overflows(
     context.close()
 
 
-def test_a_frame_can_be_asked_what_it_is(browser: api.Browser, run: Path) -> None:
+def test_a_frame_can_be_asked_what_it_is(browser: Any, run: Path) -> None:
     truth = read_table(run / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
     truth = truth.sort_values(["session_id", "t_ns"]).set_index("frame_id")
     errors = read_table(run / "fuse" / "errors.parquet", schema("fuse", "errors"))
@@ -105,7 +106,7 @@ def test_a_frame_can_be_asked_what_it_is(browser: api.Browser, run: Path) -> Non
     context.close()
 
 
-def test_without_script_all_tables_and_drawings_stand(browser: api.Browser, run: Path) -> None:
+def test_without_script_all_tables_and_drawings_stand(browser: Any, run: Path) -> None:
     context = browser.new_context(java_script_enabled=False, viewport={"width": 1280, "height": 900})
     page = opened(context, run)
     assert page.locator(".walk circle").count() > 90 and page.locator(".picture svg").count() >= 7

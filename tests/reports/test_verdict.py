@@ -19,6 +19,7 @@ from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.stage import execute
 from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
+from tests.known import cells as values
 from tests.reports.test_stage import rows_of
 
 MakeRun = Callable[..., DataRoot]
@@ -138,7 +139,7 @@ def test_a_simulated_scene_has_stated_beside_true(make_run: MakeRun) -> None:
     off[:, :3, 3] = rng.normal(0, 0.02, (len(truth), 3))
     true_T_map = make_pose(yaw_rotation(0.7), np.array([3.0, 0.5, -2.0]))
     covariance = np.diag([1e-6] * 3 + [0.02**2] * 3).ravel()
-    stated = truth.assign(covariance=[None if np.isnan(p[0, 0]) else covariance for p in map_T_cam])
+    stated = truth.assign(covariance=values(None if np.isnan(p[0, 0]) else covariance for p in map_T_cam))
     rewrite(data, "Yard", "align", "ground_truth", stated)
     keys = truth[["session_id", "t_ns"]]
     poses = pd.concat([keys, pose_frame("map_cam", true_T_map @ off @ map_T_cam)], axis=1)
@@ -174,9 +175,9 @@ def test_page_tables_terminal_summary_and_errors_agree_on_who_has_a_pose(
             answered, frames = int(rows["live_position_m"].notna().sum()), len(rows)
             coverage, median = 100 * answered / frames, rows["live_position_m"].fillna(np.inf).median()
             of_way = cells[(cells["model"] == model) & (cells["method"] == method) & (cells["row"] == "all")]
-            of_way = of_way[of_way["table"] == "IV"].set_index(["statistic", "quantity"])["value"]
-            assert of_way["coverage", "frames"] == pytest.approx(coverage)
-            assert of_way["median", "translation"] == pytest.approx(median)
+            value = of_way[of_way["table"] == "IV"].set_index(["statistic", "quantity"])["value"]
+            assert value["coverage", "frames"] == pytest.approx(coverage)
+            assert value["median", "translation"] == pytest.approx(median)
             assert headline[name][1] == f"{median:.2f}" if median > 0.1 else f"{median:.3f}"
             assert headline[name][4] == f"{coverage:.1f}"
             label = model if method == "apr" else name
