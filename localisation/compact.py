@@ -1,4 +1,4 @@
-"""The compact map `Map`: which points it keeps, what it knows of each, and its file (docs/reference/map-format.md)."""
+"""The compact map `Map`: what it knows of its points, and its file (docs/reference/map-format.md)."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,22 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.vlad import k_means, nearest_centres
 from groundwalk.localisation.frames import Lens
-from groundwalk.localisation.localiser_settings import MapSettings, StructureSettings
 from groundwalk.localisation.map_file import Sections, packed, read_sections, write_sections
 from groundwalk.localisation.matching import unit
 from groundwalk.localisation.pose import Priors
-from groundwalk.localisation.selection import covering_points
-from groundwalk.localisation.structure import Structure
 from groundwalk.store.errors import UserError
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float32]
 
-# Principal components kept of each descriptor, one byte each: with 28,000 points the demo's map has 2 MB.
-_DIMENSIONS = 40
-_GRID = 6
 _BYTE = 127.0
 _LARGEST_COMPONENT = 0.6
 
@@ -68,54 +61,6 @@ class CompactMap:
         return unit((unit(sift) - self.mean) @ self.basis)
 
 
-def compact_map(
-    scene: str,
-    structure: Structure,
-    lenses: tuple[Lens, ...],
-    priors: Priors,
-    calibration: Calibration,
-    settings: MapSettings,
-    extraction: StructureSettings,
-) -> CompactMap:
-    """The map of a structure's most useful points, as many as the settings say; `extraction` is that of features."""
-    points = structure.points
-    sift = _mean_descriptors(structure)
-    chosen = covering_points(points.point, _cells(structure), _quality(structure), settings.max_points)
-    mean = sift.mean(axis=0)
-    basis = np.linalg.eigh(np.cov((sift - mean).T))[1][:, : -_DIMENSIONS - 1 : -1].astype(np.float32)
-    basis, mean = basis.astype(np.float16).astype(np.float32), mean.astype(np.float16).astype(np.float32)
-    descriptors = unit((sift[chosen] - mean) @ basis)
-    rng = np.random.default_rng(0)
-    words = k_means(descriptors, max(1, round(np.sqrt(len(chosen)))), rng)
-    words = _from_bytes(_to_bytes(unit(words)))
-    word = nearest_centres(descriptors, words)
-    order = np.argsort(word, kind="stable")
-    chosen = chosen[order]
-    row = np.full(len(points.xyz), -1)
-    row[chosen] = np.arange(len(chosen))
-    observed, view = row[points.point], structure.view[points.feature]
-    kept = observed >= 0
-    by_view = np.lexsort((observed[kept], view[kept]))
-    used = np.unique(view[kept])
-    return CompactMap(
-        scene=scene,
-        xyz=points.xyz[chosen],
-        descriptors=descriptors[order],
-        words=words,
-        word_bounds=np.searchsorted(word[order], np.arange(len(words) + 1)),
-        map_T_view=structure.views.map_T_cam[used],
-        seen=observed[kept][by_view],
-        seen_bounds=np.r_[0, np.cumsum(np.bincount(view[kept], minlength=len(structure.views))[used])],
-        mean=mean,
-        basis=basis,
-        lenses=lenses,
-        priors=priors,
-        calibration=calibration,
-        max_features=extraction.max_features,
-        max_side=extraction.max_side,
-    )
-
-
 def point_covariances(content: CompactMap) -> Array:
     """Covariances (P, 3, 3), m^2, of the map's points, by from where its frames saw them."""
     view = np.repeat(np.arange(len(content.map_T_view)), np.diff(content.seen_bounds))
@@ -151,8 +96,8 @@ def _to_sections(content: CompactMap) -> tuple[dict[str, NDArray[Any]], dict[str
     step = 0.001 if small else 0.0005
     arrays: dict[str, NDArray[Any]] = {
         "xyz": np.rint((content.xyz - origin) / step).astype(np.uint16 if small else np.uint32),
-        "descriptors": _to_bytes(content.descriptors),
-        "words": _to_bytes(content.words),
+        "descriptors": to_bytes(content.descriptors),
+        "words": to_bytes(content.words),
         "word_bounds": content.word_bounds.astype(np.uint32),
         "views": content.map_T_view[:, :3].astype(np.float32),
         "seen": content.seen.astype(np.uint16 if len(content.xyz) < 65536 else np.uint32),
@@ -189,8 +134,8 @@ def _from_sections(sections: Sections) -> CompactMap:
     return CompactMap(
         scene=str(m["scene"]),
         xyz=a["xyz"].astype(float) * m["step_m"] + m["origin_m"],
-        descriptors=_from_bytes(a["descriptors"]),
-        words=_from_bytes(a["words"]),
+        descriptors=from_bytes(a["descriptors"]),
+        words=from_bytes(a["words"]),
         word_bounds=a["word_bounds"].astype(np.int64),
         map_T_view=views,
         seen=a["seen"].astype(np.int64),
@@ -205,43 +150,11 @@ def _from_sections(sections: Sections) -> CompactMap:
     )
 
 
-def _mean_descriptors(structure: Structure) -> Floats:
-    """Unit mean (P, 128) of the unit descriptors of each point's observations."""
-    points = structure.points
-    descriptors = unit(structure.descriptors[points.feature])
-    starts = np.searchsorted(points.point, np.arange(len(points.xyz)))
-    return unit(np.add.reduceat(descriptors, starts, axis=0))
-
-
-def _cells(structure: Structure) -> Ints:
-    """The cell (O,) of each observation in its frame's image, numbered over all frames."""
-    points = structure.points
-    view = structure.view[points.feature]
-    size = np.array([[c.width, c.height] for c in structure.views.cameras])[view]
-    at = np.clip((structure.px[points.feature] / size * _GRID).astype(np.int64), 0, _GRID - 1)
-    return (view * _GRID + at[:, 1]) * _GRID + at[:, 0]
-
-
-def _quality(structure: Structure) -> Array:
-    """What a point (P,) is worth a frame: less where its position is less sure than what a query measures, from the
-    frames that saw it."""
-    points = structure.points
-    covariance = np.linalg.inv(points.information + 1e-12 * np.eye(3))
-    view = structure.view[points.feature]
-    offset = points.xyz[points.point] - structure.views.map_T_cam[view, :3, 3]
-    distance = np.linalg.norm(offset, axis=1)
-    across = (
-        np.trace(covariance, axis1=1, axis2=2)[points.point]
-        - np.einsum("oi,oij,oj->o", offset, covariance[points.point], offset) / np.maximum(distance, 1e-9) ** 2
-    )
-    focal = np.array([(c.fx + c.fy) / 2 for c in structure.views.cameras])[view]
-    variance_px = np.bincount(points.point, focal**2 * across / np.maximum(distance, 1e-3) ** 2, len(points.xyz))
-    return np.asarray(1 / (1 + variance_px / np.bincount(points.point, minlength=len(points.xyz))))
-
-
-def _to_bytes(descriptors: Floats) -> NDArray[np.int8]:
+def to_bytes(descriptors: Floats) -> NDArray[np.int8]:
+    """Unit descriptors as the file has them."""
     return np.clip(np.rint(descriptors * (_BYTE / _LARGEST_COMPONENT)), -_BYTE, _BYTE).astype(np.int8)
 
 
-def _from_bytes(numbers: NDArray[np.int8]) -> Floats:
+def from_bytes(numbers: NDArray[np.int8]) -> Floats:
+    """Unit descriptors from those of the file."""
     return unit(numbers)
