@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.faults import artefacts, captures, machine, names, predictions, stops
+from benchmarks.faults import artefacts, captures, machine, names, predictions, rooms, stops
 from benchmarks.faults.case import Case, Outcome
 from benchmarks.faults.sandbox import Sandbox, digest, make_sandbox, run_case, workers
 from benchmarks.results import circumstances, markdown_table
@@ -34,6 +34,7 @@ def single_cases(base: Sandbox, captures_count: int = 500, machine_count: int = 
         *captures.archive_cases(),
         *captures.cases(captures_count),
         *machine.cases(machine_count),
+        *rooms.cases(),
     ]
 
 
