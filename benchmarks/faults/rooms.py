@@ -73,9 +73,10 @@ def _plain_type(annotation: Any) -> Any:
 
 
 def cases() -> Iterator[Case]:
-    """Every stage with every link, with every error in a call in turn, and with each setting of another type."""
+    """Every stage with every link and with each setting of another type; every error, in a stage and a call in turn."""
     numbers = sorted({*errno.errorcode} - _NOT_THE_DISKS)
-    for turn, stage in enumerate(stages()):
+    all_stages = stages()
+    for turn, stage in enumerate(all_stages):
         missing = partial(_without, stage=stage.name)
         for place in _PLACES:
             for target in ("outside", "nowhere"):
@@ -87,8 +88,8 @@ def cases() -> Iterator[Case]:
                     (DONE, REFUSED),
                     stage.name,
                 )
-        for at, number in enumerate(numbers):
-            call = CALLS[(at + turn) % len(CALLS)]
+        for at, number in enumerate(numbers[turn :: len(all_stages)]):
+            call = CALLS[at % len(CALLS)]
             words = f"{stage.name}, {errno.errorcode[number]} in {call}"
             before = partial(fail_with, call, number)
             yield Case("error of a disk", words, missing, arguments(stage.name), (REFUSED,), stage.name, before=before)
