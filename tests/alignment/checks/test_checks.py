@@ -324,14 +324,3 @@ def test_an_uncertain_frame_may_differ_from_vio_as_certain_ones_do(walks: Walks)
     sfm[middle, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])
     scene.set_sfm(sfm)
     assert np.flatnonzero(~run(scene).frames.has_ground_truth).tolist() == middle
-
-
-def test_one_unsure_frame_that_is_off_goes_alone(walks: Walks) -> None:
-    scene = walks.make(frames=30, sfm_m=0.002, sfm_deg=0.02)
-    make_uncertain(scene, np.arange(len(scene.images)))
-    assert run(scene).frames.has_ground_truth.all()
-    sfm = poses_of(scene.images, "sfm_cam")
-    sfm[14, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])
-    scene.set_sfm(sfm)
-    found = run(scene)
-    assert np.flatnonzero(~found.frames.has_ground_truth).tolist() == [14]
