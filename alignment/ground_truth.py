@@ -150,6 +150,6 @@ def ground_truth_table(
     table["vertical_source"] = vertical_source
     # Later stages need the cameras that go with these poses, and read no table of SfM.
     table[[*CAMERA_COLUMNS, "camera_origin"]] = images[[*CAMERA_COLUMNS, "camera_origin"]]
-    table["gt_uses_vio"] = images["uses_vio"].to_numpy(bool) | is_linked
+    table["gt_uses_vio"] = is_linked
     poses = pose_frame("map_cam", np.where(has_truth[:, None, None], map_T_cam, np.nan))
     return pd.concat([table, poses], axis=1), [grades[row] for row in np.flatnonzero(has_truth)]

@@ -10,8 +10,9 @@ import pandas as pd
 import pycolmap
 from numpy.typing import NDArray
 
+from groundwalk.geometry.poses import Array, inverse, make_pose
+
 Ints = NDArray[np.int64]
-Descriptors = NDArray[np.uint8]
 
 
 def image_name(frame_id: str, image: str) -> str:
@@ -22,6 +23,12 @@ def image_name(frame_id: str, image: str) -> str:
 def image_id(row: int) -> int:
     """COLMAP's id of the image, camera, rig and frame of a row of the frames table; COLMAP counts from 1."""
     return row + 1
+
+
+def pose_of(image: pycolmap.Image) -> Array:
+    """sfm_T_cam (4, 4) of a registered image."""
+    cam_T_sfm = image.cam_from_world().matrix()
+    return inverse(make_pose(cam_T_sfm[:, :3], cam_T_sfm[:, 3]))
 
 
 def camera_of(frame: Any, camera_id: int) -> pycolmap.Camera:
@@ -70,7 +77,7 @@ def create_database(path: Path, frames: pd.DataFrame, names: Sequence[str]) -> N
     partial.replace(path)
 
 
-def read_descriptors(path: Path, count: int) -> list[Descriptors]:
+def read_descriptors(path: Path, count: int) -> list[NDArray[np.uint8]]:
     """SIFT's descriptors (M, 128) of each of the `count` frames."""
     with pycolmap.Database.open(path) as database:
         return [database.read_descriptors(image_id(row)).data for row in range(count)]

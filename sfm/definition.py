@@ -1,13 +1,13 @@
 """The stage sfm: its version, settings and inputs; what runs it is imported when it is to run."""
 
-from groundwalk.sfm.extensions import MAPPERS, RETRIEVALS
+from groundwalk.sfm.plugins import MAPPERS, RETRIEVALS
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.definition import Stage
 from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="sfm",
-    version=43,
+    version=44,
     settings=SfmSettings,
     needs=("import",),
     run=Lazy("groundwalk.sfm.stage:run"),

@@ -1,4 +1,4 @@
-"""The stage's Rerun recording: points, cameras, the pair graph and each session's path."""
+"""The stage's Rerun recording: points, cameras, verified pairs and each session's path."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -14,35 +14,26 @@ from groundwalk.geometry.fits import rotation_to_up
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
 from groundwalk.sfm.model import Model
-from groundwalk.sfm.pairs.matching import MatchedPairs
+from groundwalk.sfm.pairs.matched import are_verified, rows_of
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import StageRun
-from groundwalk.store.choices import PairOrigin
-from groundwalk.store.colours import APR, FUSED, GROUND_TRUTH, NEUTRAL, REJECTED, VIO
+from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED
 from groundwalk.store.parallel import in_parallel
 from groundwalk.store.recording import UP_AXIS, log_camera, log_path
 from groundwalk.store.tables import camera_of, poses_of
 from groundwalk.store.undistortion import undistorted_image
 
 _TIMELINE = "frame"
-_MAX_FRUSTA = 200
-_MAX_IMAGES = 250
+_MAX_FRUSTA, _MAX_IMAGES = 200, 250
 _IMAGE_SIDE = 480
-_ORIGIN_COLOURS = {
-    PairOrigin.SEQUENCE: NEUTRAL,
-    PairOrigin.VIO: VIO,
-    PairOrigin.RETRIEVAL: FUSED,
-    PairOrigin.TRANSITIVE: APR,
-    PairOrigin.EXHAUSTIVE: NEUTRAL,
-}
+_FRUSTUM = 0.5  # in median steps
 
 
-def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, matched: MatchedPairs) -> None:
+def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, matched: pd.DataFrame) -> None:
     """Write recording.rrd: the models upright and side by side, and frame by frame what each image sees of them."""
     registered = np.flatnonzero(model.registered)
     model = _side_by_side(model, poses_of(frames, "vio_cam"))
     centres = model.sfm_T_cam[:, :3, 3]
-    frustum = 0.5
     with r.recording(_blueprint()) as stream:
         stream.log("/", UP_AXIS, static=True)
         stream.log("sfm/points", rr.Points3D(model.xyz, colors=model.rgb, radii=rr.Radius.ui_points(1.5)), static=True)
@@ -51,16 +42,25 @@ def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model
         for row in registered[evenly(len(registered), _MAX_FRUSTA)]:
             frame = frames.iloc[row]
             path = f"sfm/cameras/{frame.frame_id}"
-            log_camera(stream, path, model.sfm_T_cam[row], frame, NEUTRAL, frustum, static=True)
-        _log_pairs(stream, centres, model, matched)
-        _log_quality(stream, model, registered)
+            log_camera(stream, path, model.sfm_T_cam[row], frame, NEUTRAL, _FRUSTUM, static=True)
+        pairs = rows_of(matched)[are_verified(matched)]
+        pairs = pairs[model.registered[pairs].all(axis=1)]
+        lines = rr.LineStrips3D(list(centres[pairs]), colors=NEUTRAL, radii=rr.Radius.ui_points(0.5))
+        stream.log("sfm/pairs", lines, static=True)
+
+        times = [rr.TimeColumn(_TIMELINE, sequence=registered)]
+        for name, values in model.of_frames()[["observations", "reprojection_px"]].items():
+            stream.log(f"quality/{name}", rr.SeriesLines(colors=GROUND_TRUTH), static=True)
+            scalars = rr.Scalars.columns(scalars=values.to_numpy(float)[registered])
+            stream.send_columns(f"quality/{name}", times, scalars)
+
         rows = registered[evenly(len(registered), _MAX_IMAGES)]
         cameras = [camera_of(frames.iloc[row]) for row in rows]
         paths = [r.image_path(image) for image in frames["image"].iloc[rows]]
         images = in_parallel(lambda item: _undistorted(*item), zip(paths, cameras, strict=True))
         for row, camera, image in zip(rows.tolist(), cameras, images, strict=True):
             stream.set_time(_TIMELINE, sequence=row)
-            _log_view(stream, image, camera, model, row, 2 * frustum)
+            _log_view(stream, image, camera, model, row)
 
 
 def _blueprint() -> rrb.Blueprint:
@@ -91,7 +91,11 @@ def _side_by_side(model: Model, vio_T_cam: Array) -> Model:
         members, points = model.model == number, model.point_model == number
         centres = sfm_T_cam[members, :3, 3]
         step = float(np.median(np.linalg.norm(np.diff(centres, axis=0), axis=1)))
-        upright = _upright(model.part(number), vio_T_cam)
+        upright, known = np.eye(3), members & np.isfinite(vio_T_cam).all(axis=(1, 2))
+        if known.any():
+            # vio's +y in camera axes is the second row of vio_R_cam.
+            up = np.einsum("nij,nj->ni", model.sfm_T_cam[known, :3, :3], vio_T_cam[known, 1, :3]).mean(axis=0)
+            upright = rotation_to_up(up)
         drawn = centres @ upright.T / step
         width = float(np.ptp(drawn[:, 0]))
         shift = np.array([beside - drawn[:, 0].min(), 0.0, 0.0])
@@ -102,59 +106,28 @@ def _side_by_side(model: Model, vio_T_cam: Array) -> Model:
     return replace(model, sfm_T_cam=sfm_T_cam, xyz=xyz)
 
 
-def _upright(model: Model, vio_T_cam: Array) -> Array:
-    """The rotation (3, 3) of the sfm frame that turns up, by VIO, to +y; the identity where no frame has VIO."""
-    has_pose = model.registered & np.isfinite(vio_T_cam).all(axis=(1, 2))
-    if not has_pose.any():
-        return np.eye(3)
-    # vio's +y in camera axes is the second row of vio_R_cam.
-    up = np.einsum("nij,nj->ni", model.sfm_T_cam[has_pose, :3, :3], vio_T_cam[has_pose, 1, :3]).mean(axis=0)
-    return rotation_to_up(up)
-
-
-def _log_pairs(stream: rr.RecordingStream, centres: Array, model: Model, matched: MatchedPairs) -> None:
-    is_drawn = matched.verified & model.registered[matched.pairs].all(axis=1)
-    for origin, colour in _ORIGIN_COLOURS.items():
-        segments = centres[matched.pairs[is_drawn & (matched.origin == origin)]]
-        lines = rr.LineStrips3D(segments, colors=colour, radii=rr.Radius.ui_points(0.5))
-        stream.log(f"sfm/pairs/{origin}", lines, static=True)
-
-
-def _log_quality(stream: rr.RecordingStream, model: Model, registered: np.ndarray) -> None:
-    times = [rr.TimeColumn(_TIMELINE, sequence=registered)]
-    for name, values in (("observations", model.observations()), ("reprojection_px", model.frame_error_px())):
-        stream.log(f"quality/{name}", rr.SeriesLines(colors=GROUND_TRUTH), static=True)
-        stream.send_columns(f"quality/{name}", times, rr.Scalars.columns(scalars=values[registered].astype(float)))
-
-
-def _small(camera: Camera) -> Camera:
-    """The camera of an image at the recording's size."""
+def _small(camera: Camera) -> tuple[Camera, Camera]:
+    """The camera of an image at the recording's size, and without its lens: the viewer draws by pinholes alone."""
     shrink = min(1.0, _IMAGE_SIDE / max(camera.width, camera.height))
-    return camera.resized(round(shrink * camera.width), round(shrink * camera.height))
-
-
-def _viewer_camera(camera: Camera) -> Camera:
-    """The camera in the recording: the viewer draws images and what lies before them by pinholes alone."""
-    return replace(_small(camera), distortion=())
+    small = camera.resized(round(shrink * camera.width), round(shrink * camera.height))
+    return small, replace(small, distortion=())
 
 
 def _undistorted(path: Path, camera: Camera) -> rr.Image | rr.EncodedImage:
     image = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
     assert image is not None, path
-    small = _small(camera)
+    small, pinhole = _small(camera)
     shrunk = np.asarray(cv2.resize(image, (small.width, small.height), interpolation=cv2.INTER_AREA), np.uint8)
-    return rr.Image(undistorted_image(shrunk, small, _viewer_camera(camera))).compress(75)
+    return rr.Image(undistorted_image(shrunk, small, pinhole)).compress(75)
 
 
 def _log_view(
-    stream: rr.RecordingStream, image: rr.Image | rr.EncodedImage, camera: Camera, model: Model, row: int, size: float
+    stream: rr.RecordingStream, image: rr.Image | rr.EncodedImage, camera: Camera, model: Model, row: int
 ) -> None:
     """The moving camera with its image, and where in it a camera without rolling shutter sees the points."""
-    pinhole = _viewer_camera(camera)
-    log_camera(stream, "sfm/camera", model.sfm_T_cam[row], pinhole, REJECTED, size)
+    _, pinhole = _small(camera)
+    log_camera(stream, "sfm/camera", model.sfm_T_cam[row], pinhole, REJECTED, 2 * _FRUSTUM)
     stream.log("sfm/camera/image", image)
     observed_px = pinhole.project(camera.unproject(model.observed_px[model.frame == row]))
-    stream.log(
-        "sfm/camera/image/seen",
-        rr.Points2D(observed_px, colors=GROUND_TRUTH, radii=rr.Radius.ui_points(1.5)),
-    )
+    seen = rr.Points2D(observed_px, colors=GROUND_TRUTH, radii=rr.Radius.ui_points(1.5))
+    stream.log("sfm/camera/image/seen", seen)

@@ -1,6 +1,7 @@
 """The stage's tables from its arrays."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 
 import numpy as np
 import pandas as pd
@@ -10,11 +11,12 @@ from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.adjustment import LENS_UNKNOWNS, Adjusted, Cameras, Ints
 from groundwalk.sfm.cameras.calibration import distortion_lists
 from groundwalk.sfm.cameras.model_adjustment import EXACT_SD, CameraLog
+from groundwalk.sfm.database import keypoint_counts
 from groundwalk.sfm.mapping.attempts import Attempt
-from groundwalk.sfm.mapping.build import BuiltModel, selected_models
-from groundwalk.sfm.mapping.source import HeldOutCheck
+from groundwalk.sfm.mapping.built import BuiltModel, selected_models
+from groundwalk.sfm.mapping.held_out import held_out_medians
 from groundwalk.sfm.model import Model
-from groundwalk.sfm.pairs.matching import MatchedPairs
+from groundwalk.sfm.pairs.matched import are_verified, rows_of, status_of
 from groundwalk.sfm.quality.covariance import Covariances
 from groundwalk.store.choices import NotRegistered
 from groundwalk.store.schemas import schema
@@ -22,20 +24,39 @@ from groundwalk.store.tables import pose_frame
 
 # Images determine the product of readout and angular velocity: the common error of VIO's, which filters smooth.
 _RATE_SCALE_SD = 0.02
+_NOT_IN_TABLE = ["number", "misplaced"]
+_OF_LENS = (
+    "lens_id",
+    "origin",
+    "stated_is_wrong",
+    "stated_is_undecided",
+    "stated_readout_s",
+    "stated_readout_is_wrong",
+    "held_out_prior_px",
+    "held_out_px",
+)
 
 
 def images_table(
     frame_ids: Sequence[str],
-    model: Model,
-    selected: Sequence[BuiltModel],
-    keypoints_N: NDArray[np.int64],
-    check: HeldOutCheck,
+    best: Attempt,
+    log: CameraLog,
     cameras: Cameras,
+    check: pd.DataFrame,
     covariance_N66: Array,
+    motion_sd_N: Array,
 ) -> pd.DataFrame:
-    """One row a frame; `selected` are the models that `model` numbers, `covariance_N66` is NaN where there is none."""
+    """One row a frame, of the selected models of the best attempt, with its cameras; covariances and sds of motions are
+    NaN where there are none."""
+    model = best.model
+    assert model is not None
     table = pd.DataFrame({"frame_id": frame_ids, "registered": model.registered})
-    table["model_id"] = _model_ids(selected)[model.model]
+    reasons = np.full(len(table), NotRegistered.NO_VERIFIED_PAIRS, object)
+    reasons[np.unique(rows_of(best.matched)[are_verified(best.matched)])] = NotRegistered.NOT_MAPPED
+    reasons[[row for one in best.built for row in one.misplaced]] = NotRegistered.MISPLACED
+    reasons[model.registered] = None
+    table["not_registered"] = pd.Series(reasons, dtype=object)
+    table["model_id"] = _model_ids(best.selected)[model.model]
     table = pd.concat([table, pose_frame("sfm_cam", model.sfm_T_cam)], axis=1)
     table[["fx", "fy"]] = cameras.focal
     table[["cx", "cy"]] = cameras.intrinsics[:, 2:]
@@ -43,164 +64,106 @@ def images_table(
     table["readout_s"] = cameras.readout_s[cameras.lens]
     for name, of_frame in (("angular", cameras.angular), ("velocity", cameras.velocity)):
         table[[f"{name}_{axis}" for axis in "xyz"]] = of_frame
-    table["keypoints"] = keypoints_N
-    table["observations"] = model.observations()
-    table["track_length"] = model.frame_track_length()
-    table["triangulation_deg"] = np.degrees(model.frame_triangulation())
-    table["reprojection_px"] = model.frame_error_px()
-    table["held_out_matches"], table["held_out_px"] = check.by_frame(len(table), held_out=True)
-    table["fitted_px"] = check.by_frame(len(table), held_out=False)[1]
+    table["camera_origin"] = [log.calibration.lenses[k].origin for k in log.calibration.lens]
+    table["keypoints"] = keypoint_counts(best.mapping_input, len(table))
+    table = pd.concat([table, model.of_frames()], axis=1)
+    both = pd.concat([check.assign(frame=check["a"]), check.assign(frame=check["b"])])
+    table = pd.concat([table, held_out_medians(both, both["frame"], len(table))], axis=1)
     table["covariance"] = pd.Series(
         [list(row) if np.isfinite(row).all() else None for row in covariance_N66.reshape(-1, 36)], dtype=object
     )
+    table["motion_sd"] = motion_sd_N
     return table
 
 
-def not_registered(registered_N: NDArray[np.bool_], built: Sequence[BuiltModel], matched: MatchedPairs) -> pd.Series:
-    """Why frames (N,) have no pose, None where they have one."""
-    reasons = np.full(len(registered_N), NotRegistered.NO_VERIFIED_PAIRS, object)
-    reasons[np.unique(matched.pairs[matched.verified])] = NotRegistered.NOT_MAPPED
-    reasons[[row for entry in built for row in entry.misplaced]] = NotRegistered.MISPLACED
-    reasons[registered_N] = None
-    return pd.Series(reasons, dtype=object)
-
-
-def models_table(built: Sequence[BuiltModel], check: HeldOutCheck) -> pd.DataFrame:
-    """One row a model."""
-    number = {entry.model_id: index for index, entry in enumerate(selected_models(built))}
-    return pd.DataFrame(
-        [
-            {
-                "model_id": entry.model_id,
-                "mapping": entry.mapping,
-                "selected": bool(entry.folder),
-                "folder": entry.folder or None,
-                "images": entry.images,
-                "points": entry.points,
-                "observations": entry.observations,
-                "mean_track_length": entry.mean_track_length,
-                "mean_reprojection_px": entry.mean_reprojection_px,
-                "held_out_matches": check.count(held_out=True, model=number.get(entry.model_id, -2)),
-                "held_out_px": check.median_px(held_out=True, model=number.get(entry.model_id, -2)),
-                "fitted_px": check.median_px(held_out=False, model=number.get(entry.model_id, -2)),
-            }
-            for entry in built
-        ]
-    )
+def models_table(built: Sequence[BuiltModel], check: pd.DataFrame) -> pd.DataFrame:
+    """One row a model; `check` is that of the selected ones."""
+    table = pd.DataFrame([asdict(one) | {"model_id": one.model_id} for one in built]).drop(columns=_NOT_IN_TABLE)
+    selected = selected_models(built)
+    medians = held_out_medians(check, check["model"], len(selected)).assign(model_id=[one.model_id for one in selected])
+    table = table.assign(selected=table["folder"] != "", folder=table["folder"].replace("", None))
+    table = table.merge(medians, on="model_id", how="left", sort=False)
+    return table.assign(held_out_matches=table["held_out_matches"].fillna(0).astype(np.int64))
 
 
 def camera_tables(
     log: CameraLog,
     selected: Sequence[BuiltModel],
-    parts: Sequence[tuple[Adjusted, Ints]],
+    adjusted: Sequence[tuple[Adjusted, Ints]],
     estimates: Sequence[Covariances | None],
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """sfm.lenses, one row a lens of a model, and sfm.intrinsics, one row a session of a model."""
     lens_rows, session_rows = [], []
-    for one, (adjusted, rows), estimate in zip(selected, parts, estimates, strict=True):
-        cameras = adjusted.cameras
-        first_focal = LENS_UNKNOWNS * len(cameras.readout_s)
-        unknowns = first_focal + len(cameras.log_focal)
-        covariance = np.full((unknowns, unknowns), np.nan) if estimate is None else estimate.shared
-        sd = _sds(covariance, adjusted.priors.log_focal_sd)
+    for one, (model, rows), estimate in zip(selected, adjusted, estimates, strict=True):
+        cameras, priors = model.cameras, model.priors
+        lenses, sessions = len(cameras.readout_s), len(cameras.log_focal)
+        sd = np.full(LENS_UNKNOWNS * lenses + sessions, np.nan)
+        if estimate is not None:
+            sd = np.sqrt(np.diag(estimate.shared))
+        lens_sd, focal_sd = sd[: LENS_UNKNOWNS * lenses].reshape(lenses, LENS_UNKNOWNS), sd[-sessions:]
+        # Focal lengths that settings hold aren't confirmed by the images.
+        focal_sd[priors.log_focal_sd <= EXACT_SD] = np.nan
         for number, index in enumerate(np.unique(log.calibration.lens[rows])):
-            lens = log.calibration.lenses[index]
-            k = LENS_UNKNOWNS * number
-            with_focal = covariance[k : k + 2, first_focal:] / np.outer(sd[k : k + 2], sd[first_focal:])
-            lens_rows.append(
-                {
-                    "model_id": one.model_id,
-                    "lens_id": lens.lens_id,
-                    "frames": int(np.count_nonzero(cameras.lens == number)),
-                    "k1": cameras.coefficients[number, 0],
-                    "k1_sd": sd[k],
-                    "k2": cameras.coefficients[number, 1],
-                    "k2_sd": sd[k + 1],
-                    "k3": cameras.coefficients[number, 4],
-                    "k3_sd": sd[k + 2],
-                    "k1_k2_correlation": covariance[k, k + 1] / (sd[k] * sd[k + 1]),
-                    "k1_focal_correlation": with_focal[0].mean(),
-                    "readout_s": cameras.readout_s[number],
-                    "readout_sd_s": np.hypot(sd[k + 3], _RATE_SCALE_SD * cameras.readout_s[number]),
-                    "time_offset_s": lens.stamp_offset_s,
-                    "time_offset_sd_s": lens.stamp_offset_sd_s,
-                    "time_offset_used": lens.time_offset_s != 0,
-                    "stated_k1": lens.stated[0],
-                    "stated_k2": lens.stated[1],
-                    "origin": lens.origin,
-                    "stated_is_wrong": lens.stated_is_wrong,
-                    "stated_is_undecided": lens.stated_is_undecided,
-                    "stated_readout_s": lens.stated_readout_s,
-                    "stated_readout_is_wrong": lens.stated_readout_is_wrong,
-                    "held_out_prior_px": lens.held_out_prior_px,
-                    "held_out_px": lens.held_out_px,
-                }
-            )
+            lens, coefficients = log.calibration.lenses[index], cameras.coefficients[number, [0, 1, 4]]
+            readout_s = cameras.readout_s[number]
+            row = {name: getattr(lens, name) for name in _OF_LENS}
+            row |= dict(zip(("k1", "k2", "k3"), coefficients, strict=True))
+            row |= dict(zip(("k1_sd", "k2_sd", "k3_sd"), lens_sd[number], strict=False))
+            row |= {"readout_s": readout_s, "readout_sd_s": np.hypot(lens_sd[number, 3], _RATE_SCALE_SD * readout_s)}
+            row |= {"time_offset_s": lens.stamp_offset_s, "time_offset_sd_s": lens.stamp_offset_sd_s}
+            row |= {
+                "time_offset_used": lens.time_offset_s != 0,
+                "stated_k1": lens.stated[0],
+                "stated_k2": lens.stated[1],
+            }
+            lens_rows.append(row | {"model_id": one.model_id, "frames": int(np.sum(cameras.lens == number))})
         for number, session in enumerate(np.unique(log.session[rows])):
+            members = cameras.session == number
             session_rows.append(
                 {
                     "model_id": one.model_id,
                     "session_id": session,
-                    "frames": int(np.count_nonzero(cameras.session == number)),
+                    "frames": int(members.sum()),
                     "focal_scale": float(np.exp(cameras.log_focal[number])),
-                    "focal_scale_sd": sd[first_focal + number],
-                    "focus_sd": adjusted.priors.focus_sd[number],
-                    "angular_sd": float(np.sqrt(np.mean(adjusted.priors.angular_sd[cameras.session == number] ** 2))),
+                    "focal_scale_sd": focal_sd[number],
+                    "focus_sd": priors.focus_sd[number],
+                    "angular_sd": float(np.sqrt(np.mean(priors.angular_sd[members] ** 2))),
                 }
             )
-    lenses = pd.DataFrame(lens_rows, columns=schema("sfm", "lenses").column_names)
-    return lenses, pd.DataFrame(session_rows, columns=schema("sfm", "intrinsics").column_names)
+    lenses_table = pd.DataFrame(lens_rows, columns=schema("sfm", "lenses").column_names)
+    return lenses_table, pd.DataFrame(session_rows, columns=schema("sfm", "intrinsics").column_names)
 
 
-def _sds(covariance: Array, prior_log_focal_sd_S: Array) -> Array:
-    """Standard deviations of what cameras share, the sessions' focal factors last; NaN of those that settings hold, as
-    they aren't confirmed by the images."""
-    sd = np.sqrt(np.diag(covariance))
-    sd[-len(prior_log_focal_sd_S) :][prior_log_focal_sd_S <= EXACT_SD] = np.nan
-    return sd
-
-
-def attempts_table(attempts: Sequence[Attempt], selected: int) -> pd.DataFrame:
-    """One row an attempt; `selected` is the index of the one whose models are the stage's."""
+def attempts_table(attempts: Sequence[Attempt], best: Attempt) -> pd.DataFrame:
+    """One row an attempt; the stage's models are those of the best."""
     return pd.DataFrame(
         [
             {
                 "attempt": attempt.name,
-                "mapper": attempt.mapper,
-                "pairs": attempt.pairs,
-                "verified": attempt.verified,
-                "models": len(attempt.model_frames),
-                "largest": max(attempt.model_frames, default=0),
+                "mapper": attempt.settings.mapper,
+                "pairs": len(attempt.matched),
+                "verified": int(are_verified(attempt.matched).sum()),
+                "models": len(attempt.selected),
+                "largest": max((one.images for one in attempt.selected), default=0),
                 "registered": attempt.registered,
-                "consistent_fraction": attempt.consistent / attempt.registered if attempt.model_frames else None,
+                "consistent_fraction": attempt.consistent.sum() / attempt.registered if attempt.registered else None,
                 "outcome": attempt.outcome,
-                "selected": index == selected,
+                "selected": attempt is best,
             }
-            for index, attempt in enumerate(attempts)
+            for attempt in attempts
         ]
     )
 
 
-def pairs_table(frame_ids: Sequence[str], matched: MatchedPairs) -> pd.DataFrame:
+def pairs_table(frame_ids: Sequence[str], matched: pd.DataFrame) -> pd.DataFrame:
     """One row a pair."""
     names = np.asarray(frame_ids, dtype=object)
-    compared = matched.compared
-    return pd.DataFrame(
-        {
-            "frame_id_a": names[matched.pairs[:, 0]],
-            "frame_id_b": names[matched.pairs[:, 1]],
-            "origin": matched.origin.astype(object),
-            "matches": matched.matches,
-            "inliers": matched.inliers,
-            "status": matched.status,
-            "reason": compared.reason,
-            "rotation_deg": np.degrees(compared.rotation),
-            "rotation_limit_deg": np.degrees(compared.rotation_limit),
-            "direction_deg": np.degrees(compared.direction),
-            "direction_limit_deg": np.degrees(compared.direction_limit),
-            "gravity_deg": np.degrees(compared.gravity),
-        }
-    )
+    degrees = {
+        f"{name}_deg": np.degrees(matched[name].to_numpy(float))
+        for name in ("rotation", "rotation_limit", "direction", "direction_limit", "gravity")
+    }
+    table = matched[["origin", "matches", "inliers", "reason"]].assign(status=status_of(matched), **degrees)
+    return table.assign(frame_id_a=names[matched["a"]], frame_id_b=names[matched["b"]])
 
 
 def points_table(model: Model, selected: Sequence[BuiltModel]) -> pd.DataFrame:
@@ -208,7 +171,7 @@ def points_table(model: Model, selected: Sequence[BuiltModel]) -> pd.DataFrame:
     table = pd.DataFrame({"model_id": _model_ids(selected)[model.point_model], "point_id": model.point_ids})
     table[["x", "y", "z"]] = model.xyz
     table[["r", "g", "b"]] = model.rgb.astype(np.int64)
-    table["track_length"] = model.track_lengths()
+    table["track_length"] = model.track_lengths
     table["reprojection_px"] = model.point_error_px()
     return table
 

@@ -188,7 +188,6 @@ def _make(w: Walks) -> Scene:
             "registered": True,
             "not_registered": None,
             "model_id": "incremental/0",
-            "uses_vio": False,
             "motion_sd": np.nan,
             "observations": 500,
             "reprojection_px": 0.8,

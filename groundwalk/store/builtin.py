@@ -28,14 +28,12 @@ BUILTIN: dict[str, dict[str, str]] = {
         )
     },
     "groundwalk.mappers": {
-        "incremental": "groundwalk.sfm.entries:INCREMENTAL",
-        "global": "groundwalk.sfm.entries:GLOBAL",
-        "hierarchical": "groundwalk.sfm.entries:HIERARCHICAL",
-        "vio": "groundwalk.sfm.entries:FROM_VIO",
+        "incremental": "groundwalk.sfm.plugins:INCREMENTAL",
+        "global": "groundwalk.sfm.plugins:GLOBAL",
+        "hierarchical": "groundwalk.sfm.plugins:HIERARCHICAL",
     },
     "groundwalk.retrieval": {
-        "vlad": "groundwalk.sfm.entries:VLAD",
-        "pca-vlad": "groundwalk.sfm.entries:PCA_VLAD",
+        "vlad": "groundwalk.sfm.plugins:VLAD",
     },
     "groundwalk.structure_localisers": {
         "Map": "groundwalk.localisation.entries:MAP",

@@ -138,8 +138,6 @@ class AttemptName(StrEnum):
     MORE_PAIRS = "more_pairs"
     STRICTER_PAIRS = "stricter_pairs"
     MORE_FEATURES = "more_features"
-    OTHER_MAPPER = "other_mapper"
-    VIO_START = "vio_start"
 
 
 class AttemptOutcome(StrEnum):
@@ -158,13 +156,6 @@ class NotRegistered(StrEnum):
     NO_VERIFIED_PAIRS = "no verified pairs"
     MISPLACED = "its verified matches contradict the pose that mapping gave it"
     NOT_MAPPED = "mapping found too few points of the model in it"
-
-
-class ResidualPattern(StrEnum):
-    """What residuals are averaged over."""
-
-    RADIUS = "radius"
-    ROW = "row"
 
 
 class ScaleSource(StrEnum):

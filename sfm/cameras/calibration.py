@@ -237,7 +237,7 @@ def calibrate(
     all_of_lens = [pairs[lens[pairs[:, 0]] == k] for k in range(len(prior.lenses))]
     of_lens = [of_one[evenly(len(of_one), _MAX_PAIRS)] for of_one in all_of_lens]
     sample = np.concatenate([np.empty((0, 2), np.int64), *of_lens])
-    match_pairs(report, images.database, sample, settings, seed)
+    match_pairs(report, images.database, sample, seed)
     lenses = []
     for before, lens_pairs in zip(prior.lenses, of_lens, strict=True):
         matches = read_pair_matches(images, lens_pairs, np.array(before.coefficients[2:]), seed)

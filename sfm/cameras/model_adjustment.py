@@ -25,8 +25,7 @@ from groundwalk.sfm.cameras.adjustment import (
 )
 from groundwalk.sfm.cameras.calibration import Calibration, Lens, lines_of, prior_lenses
 from groundwalk.sfm.cameras.motion import Motion, motion_by_vio
-from groundwalk.sfm.database import Ints, image_id
-from groundwalk.sfm.model import pose_of
+from groundwalk.sfm.database import Ints, image_id, pose_of
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.tables import poses_of
 

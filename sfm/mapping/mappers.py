@@ -1,43 +1,16 @@
 """Mappers behind one interface: from a database of verified pairs to models, each in its gauge."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
-import numpy as np
 import pycolmap
-from numpy.typing import NDArray
 
-from groundwalk.geometry.poses import Array
-from groundwalk.sfm.mapping.from_vio import map_from_vio
+from groundwalk.sfm.plugins import MappingInput
 
 MIN_MODEL_FRAMES = 3
 _LEAF_IMAGES = 200
 _EXPLAINED_FRACTION = 0.001  # of an image's longer side
 _ANY_COEFFICIENT = 1e9
-
-
-@dataclass(frozen=True)
-class MappingInput:
-    """What a mapper starts from: the database, its images, VIO of its N frames (N, 4, 4) and their sessions (N,).
-
-    Every mapper holds the database's intrinsics fixed.
-    """
-
-    database: Path
-    images: Path
-    vio_T_cam: Array
-    session: NDArray[np.object_]
-    seed: int
-
-
-class Mapper(Protocol):
-    """`folder` is for the mapper to write in; `registered` is called for each registered image, where it can be."""
-
-    def __call__(
-        self, source: MappingInput, folder: Path, registered: Callable[[], None]
-    ) -> list[pycolmap.Reconstruction]: ...
 
 
 def incremental(source: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
@@ -49,19 +22,15 @@ def incremental(source: MappingInput, folder: Path, registered: Callable[[], Non
 
 
 def continued(
-    source: MappingInput,
-    base: pycolmap.Reconstruction,
-    min_inliers: int,
-    folder: Path,
-    registered: Callable[[], None],
+    source: MappingInput, base: pycolmap.Reconstruction, folder: Path, registered: Callable[[], None]
 ) -> list[pycolmap.Reconstruction]:
-    """Incremental mapping that goes on from a model, registering images with at least `min_inliers`."""
+    """Incremental mapping that goes on from a model, with half the inliers needed to register an image."""
     start = folder / "base"
     start.mkdir()
     base.write_binary(start)
     options = pipeline_options(source)
     options.multiple_models = False
-    options.mapper.abs_pose_min_num_inliers = min_inliers
+    options.mapper.abs_pose_min_num_inliers //= 2
     return _listed(
         pycolmap.incremental_mapping(
             source.database, source.images, folder, options, input_path=start, next_image_callback=registered
@@ -93,13 +62,6 @@ def hierarchical(source: MappingInput, folder: Path, registered: Callable[[], No
     options.incremental_options = pipeline_options(source)
     options.clustering_options.leaf_max_num_images = _LEAF_IMAGES
     return _listed(pycolmap.hierarchical_mapping(source.database, source.images, folder, options))
-
-
-def from_vio(source: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
-    """Points triangulated from VIO's poses, sessions joined by their points, then everything adjusted freely."""
-    return map_from_vio(
-        source.database, source.images, folder, source.vio_T_cam, source.session, pipeline_options(source), source.seed
-    )
 
 
 def pipeline_options(source: MappingInput) -> pycolmap.IncrementalPipelineOptions:

@@ -7,6 +7,7 @@ proposal is capped per frame, so that the number of pairs grows linearly with th
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
@@ -127,14 +128,9 @@ def view_overlap(pairs: Pairs, world_T_cam: Array, intrinsics_N4: Array, size_N2
 
 def strongest_pairs(pairs: Pairs, score_P: ArrayLike, per_frame: int) -> Pairs:
     """The pairs that are among the `per_frame` best of either of their frames; at most `per_frame` times N."""
-    score_P = np.asarray(score_P, dtype=float)
-    both = np.concatenate([pairs[:, 0], pairs[:, 1]])
-    index = np.tile(np.arange(len(pairs)), 2)
-    order = np.lexsort((index, -score_P[index], both))
-    frame_sorted = both[order]
-    starts = np.flatnonzero(np.r_[True, frame_sorted[1:] != frame_sorted[:-1]]) if len(order) else np.empty(0, int)
-    rank = np.arange(len(order)) - np.repeat(starts, np.diff(np.r_[starts, len(order)]))
-    return pairs[np.unique(index[order[rank < per_frame]])]
+    both = pd.DataFrame({"frame": pairs.T.ravel(), "score": np.tile(score_P, 2)}, np.tile(np.arange(len(pairs)), 2))
+    best = both.sort_values("score", ascending=False, kind="stable").groupby("frame").head(per_frame)
+    return pairs[np.unique(best.index)]
 
 
 def transitive_pairs(pairs: Pairs, inliers_P: ArrayLike, frames: int) -> tuple[Pairs, Array]:

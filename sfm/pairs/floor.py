@@ -86,7 +86,7 @@ def floor_features(grey: NDArray[np.uint8], camera: pycolmap.Camera, gravity: Ar
     return FloorFeatures(on_floor, _in_image(camera, on_floor @ axes + gravity)[0], features.descriptors)
 
 
-def match_floors(a: FloorFeatures, b: FloorFeatures) -> Ints:
+def floor_matches(a: FloorFeatures, b: FloorFeatures) -> Ints:
     """Rows (M, 2) of features that a turn and a shift on the floor explain; none where these are few."""
     matches = mutual_matches(a.descriptors.astype(np.float32), b.descriptors.astype(np.float32)).astype(np.int64)
     none = np.empty((0, 2), np.int64)
@@ -106,7 +106,7 @@ def match_floors(a: FloorFeatures, b: FloorFeatures) -> Ints:
     return matches[fits.ravel() > 0] if 1 / _MAX_HEIGHT_RATIO < height_ratio < _MAX_HEIGHT_RATIO else none
 
 
-def tie_by_floor(
+def match_floor(
     report: Report, database: Path, source: FloorSource, vio: Odometry, pairs: Pairs, verified_P: NDArray[np.bool_]
 ) -> None:
     """Match the floor in pairs of rows (P, 2), of one session each and with poses and gravity by VIO.
@@ -125,7 +125,7 @@ def tie_by_floor(
     floors = dict(zip(cameras, in_parallel(features_of, cameras), strict=True))
     of_floor = []
     for a, b in pairs.tolist():
-        of_floor.append(match_floors(floors[a], floors[b]))
+        of_floor.append(floor_matches(floors[a], floors[b]))
         report(len(of_floor))
     tied = [number for number, matches in enumerate(of_floor) if len(matches)]
     rows = np.unique(pairs[tied]).tolist()

@@ -10,44 +10,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from groundwalk.geometry.vlad import aggregate, k_means
-from groundwalk.sfm.database import Descriptors
 from groundwalk.sfm.pairs.candidates import Pairs, unique_pairs
+from groundwalk.sfm.plugins import Descriptors
 
 Floats = NDArray[np.float32]
 
-_SAMPLES_PER_WORD = 400
+_WORDS, _SAMPLES_PER_WORD = 64, 400
 _ROWS_AT_ONCE = 512
-_COMPONENTS = 64
 
 
-def vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Floats:
+def vlad(descriptors: Sequence[Descriptors], seed: int) -> Floats:
     """Unit image descriptors (N, words * D) of N images, each with local descriptors (M, D); zero where M is 0.
 
     One image at least has local descriptors.
     """
     rng = np.random.default_rng(seed)
     everything = np.concatenate([d for d in descriptors if len(d)])
-    sample = np.sort(rng.permutation(len(everything))[: words * _SAMPLES_PER_WORD])
-    centres = k_means(_unit(everything[sample]), words, rng)
-    return np.stack([aggregate(_unit(d), centres) if len(d) else _nothing(centres) for d in descriptors])
-
-
-def pca_vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Floats:
-    """As `vlad`, of local descriptors in the scene's 64 first principal components, (N, words * 64).
-
-    What few of a scene's features differ in is noise to most of them (Jégou and Chum, "Negative evidences and
-    co-occurences in image retrieval", ECCV 2012, section 3). Half the numbers, half the time.
-    """
-    rng = np.random.default_rng(seed)
-    everything = np.concatenate([d for d in descriptors if len(d)])
-    rows = np.sort(rng.permutation(len(everything))[: words * _SAMPLES_PER_WORD])
-    sample = _unit(everything[rows])
-    mean = sample.mean(axis=0)
-    components = np.linalg.eigh(np.cov((sample - mean).T))[1][:, : -_COMPONENTS - 1 : -1].astype(np.float32)
-    centres = k_means((sample - mean) @ components, words, rng)
-    return np.stack(
-        [aggregate((_unit(d) - mean) @ components, centres) if len(d) else _nothing(centres) for d in descriptors]
-    )
+    sample = np.sort(rng.permutation(len(everything))[: _WORDS * _SAMPLES_PER_WORD])
+    centres = k_means(_unit(everything[sample]), _WORDS, rng)
+    nothing = np.zeros(centres.size, np.float32)
+    return np.stack([aggregate(_unit(d), centres) if len(d) else nothing for d in descriptors])
 
 
 def retrieval_pairs(image_ND: Floats, session_N: ArrayLike, per_frame: int, within: Pairs | None = None) -> Pairs:
@@ -72,7 +54,3 @@ def retrieval_pairs(image_ND: Floats, session_N: ArrayLike, per_frame: int, with
 def _unit(descriptors: Descriptors) -> Floats:
     floats = descriptors.astype(np.float32)
     return floats / np.maximum(np.linalg.norm(floats, axis=1, keepdims=True), 1e-12)
-
-
-def _nothing(centres: Floats) -> Floats:
-    return np.zeros(centres.size, np.float32)

@@ -7,7 +7,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.sfm.database import read_descriptors
-from groundwalk.sfm.extensions import described_by
 from groundwalk.sfm.pairs.candidates import (
     Pairs,
     sequence_pairs,
@@ -19,25 +18,26 @@ from groundwalk.sfm.pairs.candidates import (
 )
 from groundwalk.sfm.pairs.odometry import Odometry, drift_between
 from groundwalk.sfm.pairs.retrieval import retrieval_pairs
+from groundwalk.sfm.plugins import RETRIEVALS
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import PairOrigin
 from groundwalk.store.tables import have_times
 
 Proposals = list[tuple[PairOrigin, Pairs]]
 
+# Views of a session that differ by more see too little in common for SIFT.
+_MAX_ANGLE_DEG = 60.0
 # Of as many frames without VIO all pairs are matched, some 20,000.
 _MAX_EXHAUSTIVE = 200
 _NO_PAIRS = unique_pairs([])
 
 
-def pairs_within_sessions(
-    settings: SfmSettings, frames: pd.DataFrame, recording_N: NDArray[np.object_], vio: Odometry
-) -> Proposals:
+def pairs_within_sessions(settings: SfmSettings, frames: pd.DataFrame, vio: Odometry) -> Proposals:
     """Pairs from the order of the frames, where they have times, and from the overlap of views by VIO."""
     # Support frames lie between the dataset's, and pairs are to reach as far as without them.
     density = len(frames) / max(int((~frames["support"]).sum()), 1)
     timed = np.flatnonzero(have_times(frames))
-    recordings, t_ns = recording_N[timed], frames["t_ns"].to_numpy(np.int64)[timed]
+    recordings, t_ns = vio.recording[timed], vio.t_ns[timed]
     following = timed[sequence_pairs(recordings, t_ns, round(density * settings.sequence_pairs))]
     # The next frame is always tried: that is what ties a recording together where VIO jumped.
     next_frame = timed[sequence_pairs(recordings, t_ns, 1)]
@@ -47,47 +47,51 @@ def pairs_within_sessions(
         frames[["fx", "fy", "cx", "cy"]].to_numpy(float),
         frames[["width", "height"]].to_numpy(float),
         settings.vio_max_distance_m,
-        settings.vio_max_angle_deg,
+        _MAX_ANGLE_DEG,
         round(density * settings.vio_pairs),
     )
     in_sequence = unique_pairs(np.concatenate([next_frame, following[_may_overlap(settings, vio, following)]]))
     return [(PairOrigin.SEQUENCE, in_sequence), (PairOrigin.VIO, near)]
 
 
-def pairs_by_images(
-    settings: SfmSettings, recording_N: NDArray[np.object_], vio: Odometry, known: Proposals, database: Path, seed: int
-) -> Proposals:
+def pairs_by_images(settings: SfmSettings, vio: Odometry, known: Proposals, database: Path, seed: int) -> Proposals:
     """Pairs of similar images, by their features in the database: of different sessions, and of recordings without VIO
     those that aren't `known` by time; where these have few frames together, all their pairs."""
-    free = np.flatnonzero(~np.isin(recording_N, recording_N[vio.posed]))
+    free = np.flatnonzero(~np.isin(vio.recording, vio.recording[vio.posed]))
     proposals: Proposals = []
     is_few = len(free) <= _MAX_EXHAUSTIVE
     if is_few:
         proposals.append((PairOrigin.EXHAUSTIVE, free[np.stack(np.triu_indices(len(free), 1), axis=1)]))
-    across = len(set(vio.session)) > 1 and not (is_few and len(free) == len(recording_N))
+    across = len(set(vio.session)) > 1 and not (is_few and len(free) == len(vio.session))
     if settings.retrieval_pairs and (across or not is_few):
-        described = _described(settings, len(recording_N), database, seed)
+        described = _described(settings, len(vio.session), database, seed)
         if not is_few:
             tried = np.concatenate([pairs for _, pairs in known])
-            proposals.append((PairOrigin.RETRIEVAL, _similar(described, recording_N, free, settings, tried)))
+            proposals.append((PairOrigin.RETRIEVAL, _similar(described, vio.recording, free, settings, tried)))
         if across:
             proposals.append((PairOrigin.RETRIEVAL, retrieval_pairs(described, vio.session, settings.retrieval_pairs)))
     return proposals
 
 
-def pairs_of_untimed(
-    settings: SfmSettings, frames: pd.DataFrame, recording_N: NDArray[np.object_], database: Path, seed: int
-) -> Pairs:
+def pairs_of_untimed(settings: SfmSettings, frames: pd.DataFrame, vio: Odometry, database: Path, seed: int) -> Pairs:
     """Pairs of similar images within recordings without times, whose frames have no neighbours by time."""
     untimed = np.flatnonzero(~have_times(frames))
     if not len(untimed):
         return unique_pairs([])
-    return _similar(_described(settings, len(frames), database, seed), recording_N, untimed, settings)
+    return _similar(_described(settings, len(frames), database, seed), vio.recording, untimed, settings)
 
 
 def _described(settings: SfmSettings, frames: int, database: Path, seed: int) -> NDArray[np.float32]:
+    """The images' unit vectors; PluginError where a retrieval of another package fails or gives something else."""
     descriptors = read_descriptors(database, frames)
-    return described_by(settings.retrieval, descriptors, settings.retrieval_words, seed)
+    with RETRIEVALS.guard(settings.retrieval):
+        vectors = RETRIEVALS.find(settings.retrieval).describe(descriptors, seed)
+        if np.ndim(vectors) != 2 or len(vectors) != frames or not np.isfinite(vectors).all():
+            raise ValueError(
+                f"describe gave an array of shape {np.shape(vectors)} for {frames} images, expected finite numbers, a "
+                "row an image"
+            )
+    return vectors
 
 
 def _similar(
@@ -106,14 +110,14 @@ def _similar(
 
 
 def pairs_of_chains(settings: SfmSettings, vio: Odometry, pairs: Pairs, inliers_P: NDArray[np.int64]) -> Pairs:
-    """Pairs of frames that both match a third one, of those not tried yet."""
+    """Pairs of frames that both match a third one, of those not tried yet: half as many as are tried for similarity."""
     candidates, strength = transitive_pairs(pairs, inliers_P, len(vio.session))
     may_overlap = _may_overlap(settings, vio, candidates)
-    return strongest_pairs(candidates[may_overlap], strength[may_overlap], settings.transitive_pairs)
+    return strongest_pairs(candidates[may_overlap], strength[may_overlap], settings.retrieval_pairs // 2)
 
 
 def _may_overlap(settings: SfmSettings, vio: Odometry, pairs: Pairs) -> NDArray[np.bool_]:
     """Whether the frames of each pair are near enough by VIO to see the same thing, its drift allowed for, (P,)."""
-    drift_m, drift_rad = drift_between(vio, pairs, settings.vio_drift)
-    max_m, max_deg = settings.vio_max_distance_m + drift_m, settings.vio_max_angle_deg + np.degrees(drift_rad)
+    drift_m, drift_rad = drift_between(vio, pairs)
+    max_m, max_deg = settings.vio_max_distance_m + drift_m, _MAX_ANGLE_DEG + np.degrees(drift_rad)
     return within_vio_limits(pairs, vio.session, vio.vio_T_cam, max_m, max_deg)

@@ -1,9 +1,9 @@
 """The relative poses of verified pairs by their images alone."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pycolmap
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -12,7 +12,8 @@ from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import Array, inverse, make_pose, relative
 from groundwalk.sfm.database import image_id
 from groundwalk.sfm.pairs.candidates import Pairs
-from groundwalk.sfm.pairs.odometry import Odometry, PairLimits, VioComparison, compare_with_vio, differing_sessions
+from groundwalk.sfm.pairs.odometry import Odometry, compare_with_vio, without_tilted
+from groundwalk.store.choices import PairInconsistency
 
 # COLMAP's bound for a match that fits, px, and the fraction of a pair's matches that another pose has to explain.
 MAX_ERROR_PX = 4.0
@@ -22,50 +23,40 @@ _MAX_EVALUATIONS = 30
 _MIN_STEP_M = 1e-3
 
 
-def compare_pairs(database: Path, pairs: Pairs, vio: Odometry, limits: PairLimits) -> tuple[Array, VioComparison]:
-    """Relative poses a_T_b (P, 4, 4) of verified pairs, translations of length 1 or 0, compared with VIO.
+def compare_pairs(database: Path, pairs: Pairs, vio: Odometry) -> tuple[Array, pd.DataFrame]:
+    """Relative poses a_T_b (P, 4, 4) of verified pairs, translations of length 1 or 0, and their comparison with VIO.
 
     Where a pair is inconsistent, its pose is fitted again from VIO's: points on a plane, or few of them, may be
     explained by two poses, of which the other is consistent.
     """
     a_T_b, angle = np.full((len(pairs), 4, 4), np.nan), np.full(len(pairs), np.nan)
     with pycolmap.Database.open(database) as opened:
-        cameras = {camera.camera_id: camera for camera in opened.read_all_cameras()}
-        keypoints: dict[int, Array] = {}
+        rows = np.unique(pairs).tolist()
+        cameras = {row: opened.read_camera(image_id(row)) for row in rows}
+        keypoints = {row: opened.read_keypoints(image_id(row))[:, :2].astype(float) for row in rows}
         for index, (a, b) in enumerate(pairs.tolist()):
-            for row in (a, b):
-                if row not in keypoints:
-                    keypoints[row] = opened.read_keypoints(image_id(row))[:, :2].astype(float)
             geometry = opened.read_two_view_geometry(image_id(a), image_id(b))
-            ends = (cameras[image_id(a)], keypoints[a], cameras[image_id(b)], keypoints[b])
+            ends = (cameras[a], keypoints[a], cameras[b], keypoints[b])
             if pycolmap.estimate_two_view_geometry_pose(*ends, geometry):
                 assert geometry.cam2_from_cam1 is not None
                 b_T_a = geometry.cam2_from_cam1.matrix()
                 a_T_b[index] = inverse(make_pose(b_T_a[:, :3], b_T_a[:, 3]))
                 angle[index] = geometry.tri_angle
-        vio = replace(vio, differing=differing_sessions(pairs, a_T_b, vio, limits.gravity_rad))
-        compared = compare_with_vio(pairs, a_T_b, angle, vio, limits)
-        for index in np.flatnonzero(~compared.consistent).tolist():
+        vio = without_tilted(vio, pairs, a_T_b)
+        compared = compare_with_vio(pairs, a_T_b, angle, vio)
+        for index in np.flatnonzero(compared["reason"] != PairInconsistency.NONE).tolist():
             a, b = pairs[index].tolist()
             matches = opened.read_two_view_geometry(image_id(a), image_id(b)).inlier_matches
-            camera_a, camera_b = cameras[image_id(a)], cameras[image_id(b)]
-            ray_a = np.asarray(camera_a.cam_from_img(keypoints[a][matches[:, 0]]))
-            ray_b = np.asarray(camera_b.cam_from_img(keypoints[b][matches[:, 1]]))
-            start = start_by_vio(a_T_b[index], vio, a, b)
-            other = pose_near(start, ray_a, ray_b, camera_a.mean_focal_length(), camera_b.mean_focal_length())
-            if other is not None:
-                one = slice(index, index + 1)
-                again = compare_with_vio(pairs[one], other[None], angle[one], vio, limits)
-                if again.consistent[0]:
-                    a_T_b[index] = other
-                    compared.assign(slice(index, index + 1), again)
+            ray_a = np.asarray(cameras[a].cam_from_img(keypoints[a][matches[:, 0]]))
+            ray_b = np.asarray(cameras[b].cam_from_img(keypoints[b][matches[:, 1]]))
+            focal = cameras[a].mean_focal_length(), cameras[b].mean_focal_length()
+            other, error_px = fitted_near(start_by_vio(a_T_b[index], vio, a, b), ray_a, ray_b, *focal)
+            again = compare_with_vio(pairs[[index]], other[None], angle[[index]], vio)
+            explained = np.mean(error_px < MAX_ERROR_PX)
+            if explained >= _MIN_EXPLAINED_FRACTION and again["reason"].iloc[0] == PairInconsistency.NONE:
+                a_T_b[index] = other
+                compared.iloc[index] = again.iloc[0]
     return a_T_b, compared
-
-
-def pose_near(start: Array, ray_a: Array, ray_b: Array, focal_a: float, focal_b: float) -> Array | None:
-    """As `fitted_near`, or None where that explains too few of the matches."""
-    pose, error_px = fitted_near(start, ray_a, ray_b, focal_a, focal_b)
-    return pose if np.mean(error_px < MAX_ERROR_PX) >= _MIN_EXPLAINED_FRACTION else None
 
 
 def fitted_near(start: Array, ray_a: Array, ray_b: Array, focal_a: float, focal_b: float) -> tuple[Array, Array]:

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import coo_array, csr_array, vstack
+from scipy.sparse.csgraph import connected_components
 
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import cauchy_weights
@@ -18,6 +19,7 @@ from groundwalk.geometry.rows import summed
 from groundwalk.geometry.shutter import readout_fraction
 from groundwalk.sfm.cameras.adjustment import (
     Adjusted,
+    Bundle,
     Ints,
     Linearization,
     linearize,
@@ -29,11 +31,12 @@ from groundwalk.sfm.cameras.adjustment import (
 )
 from groundwalk.sfm.cameras.normal_equations import block_rows, inverse_of, similarities
 
-# The scatter of blobs tells that of the poses where there are some more of them than unknowns.
-_POINTS_PER_UNKNOWN = 2
+# Features of one keypoint have its place to the bit; a hundredth allows for rounding.
+_SAME_PLACE_PX = 0.01
+# The scatter of keypoints tells that of the poses where there are some more of them than unknowns.
+_KEYPOINTS_PER_UNKNOWN = 2
 # Parts of the image in which errors of the cameras' model are alike.
 _BANDS, _COLUMNS = 6, 8
-_HALVINGS = 3  # of the points, into parts whose features shift alike
 _CHUNK = 64  # frames at once, for memory
 
 
@@ -43,37 +46,34 @@ class Covariances:
     exp(rotation) @ sfm_R_cam, true position = position of sfm_T_cam + position, both along the sfm axes; and of what
     the frames share (G, G): k1, k2, k3 and readout of each lens, then each session's log focal factor; the largest
     standard deviation of the motion from one frame to another (S,), in the first one's axes and as a fraction of its
-    length, the model's scale apart; and the coherence of residuals in rows of a frame and in parts of the image, by
+    length, the model's scale apart; and the coherence of residuals in rows of a frame and in regions of the image, by
     which they have grown."""
 
     poses: Array
     shared: Array
     motions: Array
     by_rows: float
-    by_cell: float
+    by_region: float
 
 
-def covariances(
-    adjusted: Adjusted, blob_P: Ints, surface_px: float = 0.0, motion_S2: Ints | None = None
-) -> Covariances | None:
-    """None where there are too few points to tell. `blob_P` numbers the blob of the images that each point is of.
-    `surface_px`: sd of the shifts that features of one part of the scene have in common (`_of_surfaces`). `motion_S2`:
-    the two frames of each motion.
+def covariances(adjusted: Adjusted, motion_S2: Ints) -> Covariances | None:
+    """None where there are too few points to tell. `motion_S2`: the two frames of each motion.
 
-    Nothing is assumed of the noise but that errors of two blobs have nothing to do with each other: those of one blob
-    in the frames that see it hang together, as its features slide with the view, and points of one blob share them. So
-    this is the sandwich of an M-estimator, clustered by blob (Huber 1967; Liang and Zeger, Biometrika 73, 1986; a
-    point's residuals are scaled up for the three numbers that were fitted to them), brought to the gauge of all
+    Nothing is assumed of the noise but that errors of two keypoints have nothing to do with each other: those of one in
+    the frames that see it are correlated, as its features slide with the view, and points of one keypoint share them.
+    So this is the sandwich of an M-estimator, clustered by keypoint (Huber 1967; Liang and Zeger, Biometrika 73, 1986;
+    a point's residuals are scaled up for the three numbers that were fitted to them), brought to the gauge of all
     positions by an S-transformation (Baarda 1973).
 
-    What the cameras' model leaves out is alike in the rows of a frame that are read out together, or in a part of the
-    image. Where residuals hang together more than independent ones would (`coherence`), covariances grow by as much.
+    What the cameras' model leaves out is alike in the rows of a frame that are read out together, or in a region of the
+    image. Where residuals are correlated more than independent ones would be (`coherence`), covariances grow by it.
     """
     bundle, cameras = adjusted.bundle, adjusted.cameras
-    frames = len(bundle.sfm_T_cam)
-    track_length = np.bincount(bundle.point, minlength=len(bundle.xyz))
-    blobs = int(blob_P.max(initial=-1)) + 1
-    if blobs < _POINTS_PER_UNKNOWN * 6 * frames or track_length.min() < 2:
+    frames, points = len(bundle.sfm_T_cam), len(bundle.xyz)
+    track_length = np.bincount(bundle.point, minlength=points)
+    keypoint_P = keypoints_of(bundle)
+    keypoints = int(keypoint_P.max(initial=-1)) + 1
+    if keypoints < _KEYPOINTS_PER_UNKNOWN * 6 * frames or track_length.min() < 2:
         return None
     linear = linearize(bundle, cameras).over(adjusted.noise_M)
     weight = cauchy_weights(linear.residual, adjusted.loss_px)
@@ -87,83 +87,40 @@ def covariances(
         return None
     fitted = np.sqrt(2 * track_length / np.maximum(2 * track_length - 3, 1))[bundle.point]
     force = _forces(linear, weight, fitted[:, None] * linear.residual, bundle.point, system.point_inverse)
-    by_blob = _rows_of_unknowns(force, adjusted, blob_P[bundle.point], blobs)
-    by_surface = surface_px * _of_surfaces(adjusted, linear, weight, system.point_inverse)
-    middle = _dense(by_blob, variance**2 * information)
-    by_rows, by_cell = coherence(adjusted, linear.residual, blob_P)
+    by_keypoint = _rows_of_unknowns(force, adjusted, keypoint_P[bundle.point], keypoints)
+    middle = _dense(by_keypoint, variance**2 * information)
+    by_rows, by_region = coherence(adjusted, linear.residual, keypoint_P)
     of_shared = inverse[10 * frames :]
-    # The part of the blobs grows with what they have in common, that of the priors doesn't.
-    by_blobs, by_surfaces = by_blob.T @ of_shared.T, by_surface.T @ of_shared.T
-    shared = of_shared @ middle @ of_shared.T + (max(by_rows, by_cell) - 1) * by_blobs.T @ by_blobs
+    # The part of the keypoints grows with what they have in common, that of the priors doesn't.
+    shared_by_keypoints = by_keypoint.T @ of_shared.T
+    shared = of_shared @ middle @ of_shared.T
+    shared += (max(by_rows, by_region) - 1) * shared_by_keypoints.T @ shared_by_keypoints
     middle *= by_rows
-    for first in range(0, len(middle), 10 * _CHUNK):
-        middle[first : first + 10 * _CHUNK] += by_surface[first : first + 10 * _CHUNK] @ by_surface.T
     position = bundle.sfm_T_cam[:, :3, 3]
     poses = _gauge_free_sandwich(inverse, middle, position)
-    motions = np.empty(0) if motion_S2 is None else _sds_of_motions(inverse, middle, position, motion_S2)
-    return Covariances(poses, shared + by_surfaces.T @ by_surfaces, motions, by_rows, by_cell)
+    return Covariances(poses, shared, _sds_of_motions(inverse, middle, position, motion_S2), by_rows, by_region)
 
 
-def _dense(by_blob: csr_array, information: csr_array) -> Array:
-    """by_blob @ by_blob^T + information (n, n); the sparse product isn't formed at once, as it is hardly sparse."""
+def _dense(by_keypoint: csr_array, information: csr_array) -> Array:
+    """by_keypoint @ by_keypoint^T + information (n, n); the product isn't formed at once, as it is hardly sparse."""
     middle = information.toarray()
-    transposed = by_blob.T.tocsr()
+    transposed = by_keypoint.T.tocsr()
     for first in range(0, len(middle), 10 * _CHUNK):
         rows = slice(first, first + 10 * _CHUNK)
-        middle[rows] += (by_blob[rows] @ transposed).toarray()
+        middle[rows] += (by_keypoint[rows] @ transposed).toarray()
     return middle
 
 
-def _of_surfaces(adjusted: Adjusted, linear: Linearization, weight_M: Array, point_inverse: Array) -> Array:
-    """What shifts of features that are alike on one part of the scene pull each unknown by, (10 N + G, shifts).
-
-    Where a blob appears to be changes with the direction from which its surface is seen, and so does where its
-    neighbours on it appear to be. To first order that is a shift along each axis of the image for each component of the
-    direction: a pixel for a component of 1. The scene's parts are its points halved at the median of the axis along
-    which they lie widest, three times.
-    """
-    bundle = adjusted.bundle
-    part_M = _parts(bundle.xyz)[bundle.point]
-    parts = int(part_M.max()) + 1
-    offset = bundle.xyz[bundle.point] - bundle.sfm_T_cam[bundle.frame, :3, 3]
-    direction = offset / np.linalg.norm(offset, axis=1, keepdims=True)
-    pulls = []
-    direction -= (summed(direction, part_M, parts) / np.bincount(part_M)[:, None])[part_M]
-    for component_M in (direction / adjusted.noise_M[:, None]).T:
-        for axis in np.eye(2):
-            force = _forces(linear, weight_M, component_M[:, None] * axis, bundle.point, point_inverse)
-            pulls.append(_rows_of_unknowns(force, adjusted, part_M, parts).toarray())
-    return np.hstack(pulls)
-
-
-def _parts(xyz_P3: Array) -> Ints:
-    """Which part of the scene each point is in (P,)."""
-    members = [np.arange(len(xyz_P3))]
-    for _ in range(_HALVINGS):
-        members = [half for part in members for half in _halves(xyz_P3, part) if len(half)]
-    number = np.empty(len(xyz_P3), np.int64)
-    for k, part in enumerate(members):
-        number[part] = k
-    return number
-
-
-def _halves(xyz_P3: Array, members: Ints) -> tuple[Ints, Ints]:
-    xyz = xyz_P3[members]
-    widest = int(np.argmax(np.subtract(*np.percentile(xyz, [75, 25], axis=0))))
-    is_beyond = xyz[:, widest] > np.median(xyz[:, widest])
-    return members[~is_beyond], members[is_beyond]
-
-
-def _rows_of_unknowns(force_M15: Array, adjusted: Adjusted, blob_M: Ints, blobs: int) -> csr_array:
-    """What each blob pulls each unknown by, (10 N + G, blobs)."""
-    bundle, cameras = adjusted.bundle, adjusted.cameras
-    frames = len(bundle.sfm_T_cam)
-    local = block_rows(force_M15[:, :10, None], bundle.frame, blob_M, frames, blobs)
-    columns = shared_columns(cameras)
-    shared = np.zeros((int(columns.max()) + 1, blobs))
-    for k in range(columns.shape[1]):
-        np.add.at(shared, (columns[bundle.frame, k], blob_M), force_M15[:, 10 + k])
-    return csr_array(vstack([local.tocsr(), csr_array(shared)]))
+def keypoints_of(bundle: Bundle) -> Ints:
+    """The number of each point's keypoint, (P,): SIFT gives a keypoint a feature for each of its orientations, so
+    points that any frame sees in the same place are of one."""
+    place = np.round(bundle.observed_px / _SAME_PLACE_PX).astype(np.int64)
+    _, keypoint = np.unique(np.column_stack([bundle.frame, place]), axis=0, return_inverse=True)
+    points = len(bundle.xyz)
+    size = points + int(keypoint.max(initial=-1)) + 1
+    ties = coo_array((np.ones(len(bundle.point), bool), (bundle.point, points + keypoint.ravel())), shape=(size, size))
+    label = connected_components(ties, directed=False)[1][:points]
+    return np.asarray(np.unique(label, return_inverse=True)[1], np.int64).ravel()
 
 
 def _forces(linear: Linearization, weight_M: Array, residual_M2: Array, point_M: Ints, point_inverse: Array) -> Array:
@@ -173,23 +130,32 @@ def _forces(linear: Linearization, weight_M: Array, residual_M2: Array, point_M:
     would count as theirs, the gauge included.
     """
     pull_M2 = weight_M[:, None] * residual_M2
-    by_point = linear.by_point
-    of_points = summed(np.einsum("mij,mi->mj", by_point, pull_M2), point_M, len(point_inverse))
+    of_points = summed(np.einsum("mij,mi->mj", linear.by_point, pull_M2), point_M, len(point_inverse))
     moved_P3 = np.einsum("pij,pj->pi", point_inverse, of_points)
-    curved = (weight_M**2)[:, None, None] * by_point
+    curved = (weight_M**2)[:, None, None] * linear.by_point
     return np.einsum("mij,mi->mj", linear.by_camera, pull_M2 - np.einsum("mij,mj->mi", curved, moved_P3[point_M]))
 
 
-def coherence(adjusted: Adjusted, residual_M2: Array, blob_P: Ints) -> tuple[float, float]:
-    """How much more residuals (in units of their points' noise) hang together in the rows of a frame that are read out
-    together, and in a part of the image over all frames, than independent ones would: the ratio of the variances of
-    their sums (Kish's design effect), at least 1, less what may be chance. A shutter or focus that isn't modelled shows
-    in the first, a lens in the second.
+def _rows_of_unknowns(force_M15: Array, adjusted: Adjusted, keypoint_M: Ints, keypoints: int) -> csr_array:
+    """What each keypoint pulls each unknown by, (10 N + G, keypoints)."""
+    bundle, columns = adjusted.bundle, shared_columns(adjusted.cameras)
+    local = block_rows(force_M15[:, :10, None], bundle.frame, keypoint_M, len(bundle.sfm_T_cam), keypoints)
+    shared = np.zeros((int(columns.max()) + 1, keypoints))
+    for k in range(columns.shape[1]):
+        np.add.at(shared, (columns[bundle.frame, k], keypoint_M), force_M15[:, 10 + k])
+    return csr_array(vstack([local.tocsr(), csr_array(shared)]))
+
+
+def coherence(adjusted: Adjusted, residual_M2: Array, keypoint_P: Ints) -> tuple[float, float]:
+    """How much more residuals (in units of their points' noise) are correlated in the rows of a frame that are read out
+    together, and in a region of the image over all frames, than independent ones would be: the ratio of the variances
+    of their sums (Kish's design effect), at least 1, less what may be chance. A shutter or focus that isn't modelled
+    shows in the first, a lens in the second.
     """
     bundle, cameras = adjusted.bundle, adjusted.cameras
     residual = residual_M2 / (1 + np.sum(residual_M2**2, axis=1, keepdims=True) / adjusted.loss_px**2)
-    # Features of one blob are in the same place with the same error.
-    key = bundle.frame * (int(blob_P.max(initial=0)) + 1) + blob_P[bundle.point]
+    # Features of one keypoint are in the same place with the same error.
+    key = bundle.frame * (int(keypoint_P.max(initial=0)) + 1) + keypoint_P[bundle.point]
     _, first = np.unique(key, return_index=True)
     residual, frame, observed_px = residual[first], bundle.frame[first], bundle.observed_px[first]
     line = cameras.readout_line[frame]
@@ -197,8 +163,8 @@ def coherence(adjusted: Adjusted, residual_M2: Array, blob_P: Ints) -> tuple[flo
     offset_px = observed_px - cameras.intrinsics[frame, 2:]
     across = line[:, 1] * offset_px[:, 0] - line[:, 0] * offset_px[:, 1]
     column = np.clip((across + 1) / 2 * _COLUMNS, 0, _COLUMNS - 1)
-    cell = (cameras.lens[frame] * _BANDS + band) * _COLUMNS + column.astype(np.int64)
-    return _design_effect(residual, frame * _BANDS + band), _design_effect(residual, cell)
+    region = (cameras.lens[frame] * _BANDS + band) * _COLUMNS + column.astype(np.int64)
+    return _design_effect(residual, frame * _BANDS + band), _design_effect(residual, region)
 
 
 def _design_effect(residual_M2: Array, cluster_M: Ints) -> float:

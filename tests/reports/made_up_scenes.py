@@ -325,7 +325,7 @@ class MadeUpScene:
             registered=registered, not_registered=cells(None if r else NotRegistered.NOT_MAPPED for r in registered),
             model_id="incremental/0", keypoints=900, covariance=None, motion_sd=np.nan,
             observations=self.rng.integers(150, 700, count) * registered,
-            reprojection_px=np.where(registered, self.rng.gamma(20, 0.04, count), np.nan), uses_vio=False,
+            reprojection_px=np.where(registered, self.rng.gamma(20, 0.04, count), np.nan),
             track_length=np.where(registered, 6.5, np.nan), triangulation_deg=np.where(registered, 12.0, np.nan),
             held_out_matches=40, held_out_px=np.where(registered, 0.5, np.nan),
             fitted_px=np.where(registered, 0.4, np.nan), fx=480.0, fy=480.0, cx=320.0, cy=240.0,

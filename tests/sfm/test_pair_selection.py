@@ -16,7 +16,7 @@ from groundwalk.sfm.pairs.selection import Proposals, pairs_by_images, pairs_of_
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import Clock, PairOrigin
 
-_SETTINGS = SfmSettings(retrieval_pairs=4, retrieval_words=16, sequence_pairs=2)
+_SETTINGS = SfmSettings(retrieval_pairs=4, sequence_pairs=2)
 _LANDMARKS, _SEEN = 400, 60
 
 
@@ -52,13 +52,14 @@ class _Scene:
         vio_T_cam[:, 0, 3] = 100.0 * self.place
         vio_T_cam[~np.isin(self.recording, has_vio)] = np.nan
         gravity = np.full((len(self.frames), 3), np.nan)
-        self.vio: Odometry = odometry(self.recording, self.frames["t_ns"].to_numpy(np.int64), vio_T_cam, gravity, [])
+        t_ns = self.frames["t_ns"].to_numpy(np.int64)
+        self.vio: Odometry = odometry(self.recording, self.recording, t_ns, vio_T_cam, gravity, [])
 
     def by_order(self) -> Proposals:
-        return pairs_within_sessions(_SETTINGS, self.frames, self.recording, self.vio)
+        return pairs_within_sessions(_SETTINGS, self.frames, self.vio)
 
     def by_images(self) -> Proposals:
-        return pairs_by_images(_SETTINGS, self.recording, self.vio, self.by_order(), self.database, 0)
+        return pairs_by_images(_SETTINGS, self.vio, self.by_order(), self.database, 0)
 
     def all(self) -> tuple[np.ndarray, np.ndarray]:
         return first_origins([*self.by_order(), *self.by_images()], len(self.frames))
@@ -72,13 +73,6 @@ class _Scene:
 
 def _shuffled(count: int) -> np.ndarray:
     return np.random.default_rng(1).permutation(count)
-
-
-def test_of_few_photos_without_vio_all_pairs_are_tried(tmp_path: Path) -> None:
-    scene = _Scene(tmp_path, {"photos": Clock.NAME_ORDER}, (), _shuffled(50))
-    pairs, origin = scene.all()
-    assert len(pairs) == 50 * 49 / 2
-    assert set(origin) == {PairOrigin.EXHAUSTIVE}
 
 
 def test_few_frames_of_several_recordings_without_vio_are_all_paired_too(tmp_path: Path) -> None:
@@ -113,16 +107,8 @@ def test_of_many_frames_without_vio_the_similar_ones_of_the_recording_are_tried(
     assert (similar == ends).all(axis=1).any()
 
 
-def test_a_killed_run_proposes_the_same_pairs_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(selection, "_MAX_EXHAUSTIVE", 10)
-    scene = _Scene(tmp_path, {"a": Clock.NAME_ORDER, "b": Clock.VIDEO}, (), _shuffled(30))
-    once, again = scene.all(), scene.all()
-    assert np.array_equal(once[0], again[0]) and np.array_equal(once[1], again[1])
-
-
 def test_lenses_of_photos_without_times_are_estimated_from_similar_images(tmp_path: Path) -> None:
     scene = _Scene(tmp_path, {"photos": Clock.NAME_ORDER, "video": Clock.VIDEO}, (), _shuffled(50))
-    pairs = pairs_of_untimed(_SETTINGS, scene.frames, scene.recording, scene.database, 0)
+    pairs = pairs_of_untimed(_SETTINGS, scene.frames, scene.vio, scene.database, 0)
     assert set(scene.recording[np.unique(pairs)]) == {"photos"}
     assert np.quantile(scene.apart(pairs), 0.95) <= 4
-    assert len(pairs_of_untimed(_SETTINGS, scene.frames[50:], scene.recording[50:], scene.database, 0)) == 0

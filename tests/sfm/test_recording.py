@@ -35,7 +35,7 @@ def test_points_lie_on_their_features_in_the_shown_image(tmp_path: Path) -> None
         observed_px=np.vstack([seen_px, [[1.0, 1.0]]]), frame=np.array([0] * 5 + [1]), sfm_T_cam=np.eye(4)[None]
     )
     stream: Any = _Stream()
-    _log_view(stream, _undistorted(tmp_path / "dots.png", _CAMERA), _CAMERA, model, 0, 1.0)
+    _log_view(stream, _undistorted(tmp_path / "dots.png", _CAMERA), _CAMERA, model, 0)
 
     jpeg = np.array(stream.logged["sfm/camera/image"].blob.as_arrow_array()[0].as_py(), np.uint8)
     image = there(cv2.imdecode(jpeg, cv2.IMREAD_GRAYSCALE)).astype(float)

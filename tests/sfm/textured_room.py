@@ -59,23 +59,6 @@ def make_room(folder: Path, per_walk: int = 7, same_place: bool = True) -> Room:
     return Room(data, frames, np.concatenate(list(walks.values())))
 
 
-def make_look_alike_rooms(folder: Path, apart_m: float = 20.0, per_room: int = 7) -> Room:
-    """One walk through two rooms that look the same; nothing is to be seen on the way from one to the other."""
-    data, session, dark = DataRoot(folder / "data"), "one", 3
-    textures = [_texture(_length(u), _length(v), i) for i, (_, u, v) in enumerate(_WALLS)]
-    inside = _walk(per_room, 1.5, 2.6)
-    between = np.repeat(inside[-1:], dark, axis=0)
-    between[:, 0, 3] += apart_m * np.linspace(0, 1, dark + 2)[1:-1]
-    there = inside.copy()
-    there[:, 0, 3] += apart_m
-    poses = np.concatenate([inside, between, there])
-    views = [_photograph(textures, pose) for pose in inside]
-    views = [*views, *[np.full_like(views[0], 128)] * dark, *views]
-    frames = _frames(data, session, poses, views)
-    _write_import(data, frames, [session])
-    return Room(data, frames, poses)
-
-
 def _frames(data: DataRoot, session: str, room_T_cam: Array, views: list[np.ndarray]) -> pd.DataFrame:
     """The frames table of a walk, a second apart, its pictures written."""
     images = [f"{session}/{row}.jpg" for row in range(len(views))]

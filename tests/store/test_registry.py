@@ -10,7 +10,7 @@ import pytest
 
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.fusion.methods import METHODS
-from groundwalk.sfm.extensions import MAPPERS, RETRIEVALS
+from groundwalk.sfm.plugins import MAPPERS, RETRIEVALS
 from groundwalk.store import UserError, registry
 from groundwalk.store.builtin import BUILTIN
 from groundwalk.store.registry import Entry, PluginError, Registry, callable_faults

@@ -8,7 +8,6 @@ from groundwalk.store.choices import (
     PairInconsistency,
     PairOrigin,
     PairStatus,
-    ResidualPattern,
 )
 from groundwalk.store.schemas import Column, TableSchema, pose_columns
 
@@ -49,7 +48,6 @@ TABLES = [
             Column(
                 "camera_origin", "string", "where the lens is from, before the model adjusts it", choices=CameraOrigin
             ),
-            Column("uses_vio", "bool", "VIO positions were the start of this pose (mapper vio)"),
             Column("keypoints", "int64", "features found in the image"),
             Column("observations", "int64", "features that see a point of the model"),
             Column("track_length", "float64", "mean number of frames that see its points", "", "", True),
@@ -75,7 +73,7 @@ TABLES = [
                 True,
             ),
         ],
-        version="3.3",
+        version="4.0",
     ),
     TableSchema(
         "sfm",
@@ -91,8 +89,6 @@ TABLES = [
             Column("k2_sd", "float64", "standard deviation of k2", "", "", True),
             Column("k3", "float64", "radial distortion, OpenCV's convention"),
             Column("k3_sd", "float64", "standard deviation of k3", "", "", True),
-            Column("k1_k2_correlation", "float64", "correlation of the errors of k1 and k2", "", "", True),
-            Column("k1_focal_correlation", "float64", "correlation of k1 with focal scales, mean", "", "", True),
             Column("readout_s", "float64", "rolling shutter: time from the first to the last row", "s"),
             Column("readout_sd_s", "float64", "standard deviation of the readout time", "s", "", True),
             Column("time_offset_s", "float64", "time stamps minus times of middle rows", "s", "", True),
@@ -130,7 +126,7 @@ TABLES = [
                 True,
             ),
         ],
-        version="3.2",
+        version="4.0",
     ),
     TableSchema(
         "sfm",
@@ -154,27 +150,6 @@ TABLES = [
             Column("focal_step_frame_id", "string", "first frame after the step", nullable=True),
         ],
         version="2.1",
-    ),
-    TableSchema(
-        "sfm",
-        "residuals",
-        "Mean residuals of each model and lens by radius and by the sensor's row; plotted in residuals.png.",
-        [
-            Column("model_id", "string", "the model: models.model_id"),
-            Column("lens_id", "string", "the lens: lenses.lens_id"),
-            Column(
-                "pattern",
-                "string",
-                "radius: mean residual away from the principal point; row: shift that a frame's observations there "
-                "have in common, RMS over frames",
-                choices=ResidualPattern,
-            ),
-            Column("band_from", "float64", "where it begins: radius in focal lengths, row as a share of the readout"),
-            Column("band_to", "float64", "where the band ends"),
-            Column("observations", "int64", "features in the band"),
-            Column("residual_px", "float64", "the residual; below 0 for row: less than by chance", "px"),
-            Column("residual_sd_px", "float64", "standard error of the residual", "px"),
-        ],
     ),
     TableSchema(
         "sfm",

@@ -2,25 +2,19 @@
 
 from pathlib import Path
 
-import numpy as np
 import pycolmap
 import pytest
 
 from groundwalk.geometry.lens import rational_of_fisheye
-from groundwalk.sfm.mapping.mappers import (
-    Mapper,
-    MappingInput,
-    hierarchical,
-    incremental,
-    pipeline_options,
-)
+from groundwalk.sfm.mapping.mappers import hierarchical, incremental, pipeline_options
+from groundwalk.sfm.plugins import Mapper, MappingInput
 
 
 @pytest.mark.parametrize(("size", "expected_px"), [((320, 240), 1.0), ((1440, 1920), 1.92)])
 def test_the_first_pair_is_held_to_a_pixel_or_a_thousandth_of_the_image(
     tmp_path: Path, size: tuple[int, int], expected_px: float
 ) -> None:
-    given = MappingInput(tmp_path / "database.db", tmp_path, np.empty((0, 4, 4)), np.empty(0, object), 0)
+    given = MappingInput(tmp_path / "database.db", tmp_path, 0)
     with pycolmap.Database.open(given.database) as database:
         database.write_camera(pycolmap.Camera(model="PINHOLE", width=size[0], height=size[1], params=[300, 300, 1, 1]))
     assert pipeline_options(given).mapper.init_max_error == pytest.approx(expected_px)
@@ -34,7 +28,7 @@ def test_a_fisheye_lens_is_mapped(tmp_path: Path, mapper: Mapper) -> None:
     options.camera_width, options.camera_height = 640, 480
     options.camera_model_id, options.camera_has_prior_focal_length = pycolmap.CameraModelId.FULL_OPENCV, True
     options.camera_params = [320, 320, 320, 240, *lens]
-    given = MappingInput(tmp_path / "database.db", tmp_path, np.empty((0, 4, 4)), np.empty(0, object), 0)
+    given = MappingInput(tmp_path / "database.db", tmp_path, 0)
     with pycolmap.Database.open(given.database) as database:
         pycolmap.synthesize_dataset(options, database)
     (model,) = mapper(given, tmp_path, lambda: None)

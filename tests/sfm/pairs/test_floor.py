@@ -1,5 +1,6 @@
 """Floor features on drawn images of a floor between bare walls."""
 
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -14,8 +15,7 @@ from groundwalk.geometry.poses import Array, inverse, make_pose, relative, rotat
 from groundwalk.sfm.cameras.calibration import prior_lenses
 from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.database import create_database, image_id, read_pair_results
-from groundwalk.sfm.pairs.candidates import broken_links
-from groundwalk.sfm.pairs.floor import FloorSource, floor_features, match_floors, tie_by_floor
+from groundwalk.sfm.pairs.floor import FloorSource, floor_features, floor_matches, match_floor
 from groundwalk.sfm.pairs.matching import guide_pairs, match_pairs
 from groundwalk.sfm.pairs.nearest import mutual_matches
 from groundwalk.sfm.pairs.odometry import odometry
@@ -36,6 +36,7 @@ def camera() -> pycolmap.Camera:
     return pycolmap.Camera(camera_id=1, model="OPENCV", width=SIZE[0], height=SIZE[1], params=parameters)
 
 
+@cache
 def texture() -> NDArray[np.uint8]:
     """Tiles of slightly different greys, with stains: most of it has no feature."""
     rng = np.random.default_rng(7)
@@ -83,7 +84,7 @@ TURN = [pose(0, 17, [0, 0, 0]), pose(35, 15, [0.1, 0.02, 0.7])]
 def test_the_floor_matches_better_as_seen_from_above() -> None:
     images = [image(p) for p in TURN]
     a, b = (floor_features(grey, camera(), gravity_in(p)) for grey, p in zip(images, TURN, strict=True))
-    matches = match_floors(a, b)
+    matches = floor_matches(a, b)
 
     ordinary = [even_sift(grey, 2048, max(SIZE), 0.02) for grey in images]
     of_ordinary = mutual_matches(*(features.descriptors.astype(np.float32) for features in ordinary))
@@ -99,25 +100,26 @@ def test_the_floor_matches_better_as_seen_from_above() -> None:
 def test_other_places_and_views_without_a_floor_do_not_match() -> None:
     here = floor_features(image(TURN[0]), camera(), gravity_in(TURN[0]))
     elsewhere = pose(180, 17, [-1, 0, -1])
-    assert not len(match_floors(here, floor_features(image(elsewhere), camera(), gravity_in(elsewhere))))
+    assert not len(floor_matches(here, floor_features(image(elsewhere), camera(), gravity_in(elsewhere))))
     up = pose(0, -60, [0, 0, 0])
     none = floor_features(image(up), camera(), gravity_in(up))
-    assert not len(none.px) and not len(match_floors(here, none))
+    assert not len(none.px) and not len(floor_matches(here, none))
     blank = floor_features(np.full(SIZE[::-1], 180, np.uint8), camera(), gravity_in(TURN[0]))
-    assert not len(match_floors(here, blank))
+    assert not len(floor_matches(here, blank))
 
 
 def test_a_pair_tied_by_the_floor_has_its_true_pose_and_inliers_that_fit_it(tmp_path: Path) -> None:
     source, database, vio_T_cam = scene(tmp_path)
     before = read_pair_results(database, PAIRS)[1][0]
     gravity = np.stack([gravity_in(p) for p in TURN])
-    vio = odometry(np.array(["s", "s"], object), np.array([0, 500_000_000]), vio_T_cam, gravity, [])
-    tie_by_floor(quiet, database, source, vio, PAIRS, np.array([False]))
+    session = np.array(["s", "s"], object)
+    vio = odometry(session, session, np.array([0, 500_000_000]), vio_T_cam, gravity, [])
+    match_floor(quiet, database, source, vio, PAIRS, np.array([False]))
 
     matches, after = read_pair_results(database, PAIRS)
     assert after[0] > before + 30 and matches[0] == read_pair_results(source.features, PAIRS)[0][0]
     kept = inliers(database)
-    tie_by_floor(quiet, database, source, vio, PAIRS, np.array([False]))
+    match_floor(quiet, database, source, vio, PAIRS, np.array([False]))
     np.testing.assert_array_equal(inliers(database), kept)
     guide_pairs(quiet, database, PAIRS)
     with pycolmap.Database.open(database) as opened, pycolmap.Database.open(source.features) as raw:
@@ -168,11 +170,11 @@ def scene(folder: Path) -> tuple[FloorSource, Path, Array]:
         create_database(path, frames, names)
         with pycolmap.Database.open(path) as opened:
             for row, p in enumerate(TURN):
-                found = even_sift(image(p), SETTINGS.max_features, SETTINGS.max_image_size, SETTINGS.min_contrast)
+                found = even_sift(image(p), SETTINGS.max_features, SETTINGS.max_image_size, 0.02)
                 sift = pycolmap.FeatureExtractorType.SIFT
                 opened.write_keypoints(image_id(row), found.px)
                 opened.write_descriptors(image_id(row), pycolmap.FeatureDescriptors(data=found.descriptors, type=sift))
-        match_pairs(quiet, path, PAIRS, SETTINGS, 0)
+        match_pairs(quiet, path, PAIRS, 0)
     calibration = prior_lenses(frames, {"s": "phone"}, SfmSettings(lens="stated", readout_s=0.0))
     motion = Motion(np.zeros((2, 3)), np.zeros(2), np.zeros((2, 3)), np.ones(2, bool))
     turned = make_pose(Rotation.from_rotvec([0, np.radians(1.0), 0]).as_matrix(), [0.01, 0, 0])
@@ -180,9 +182,3 @@ def scene(folder: Path) -> tuple[FloorSource, Path, Array]:
     source = FloorSource(features, folder, names, frames, calibration, motion)
     assert np.degrees(rotation_angle((inverse(vio_T_cam[1]) @ TURN[1])[:3, :3])) > 0.9
     return source, database, vio_T_cam
-
-
-def test_broken_links_are_neighbours_without_a_verified_pair() -> None:
-    recording, t_ns = ["r", "r", "q", "r", "q"], [3, 1, 1, 2, 2]
-    assert broken_links(recording, t_ns, np.array([[1, 3]])).tolist() == [[0, 3], [2, 4]]
-    assert not len(broken_links(recording, t_ns, np.array([[0, 3], [1, 3], [2, 4]])))

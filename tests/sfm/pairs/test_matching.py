@@ -1,20 +1,22 @@
 """Matching and verifying pairs side by side, against COLMAP's own verification of the same matches."""
 
 import shutil
-from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pycolmap
 
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import skew
 from groundwalk.sfm.database import create_database, has_results, image_id, image_name, read_pair_results
+from groundwalk.sfm.messages import report_excluded_pairs
 from groundwalk.sfm.pairs.features import extract_features
-from groundwalk.sfm.pairs.matching import MatchedPairs, guide_pairs, match_pairs, verification_options
-from groundwalk.sfm.pairs.odometry import nothing_compared
-from groundwalk.sfm.quality.messages import excluded_pairs
+from groundwalk.sfm.pairs.matched import MIN_INLIERS, are_verified, are_weak, checkpoint, matched_pairs, status_of
+from groundwalk.sfm.pairs.matching import guide_pairs, match_pairs
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import PairInconsistency
 from tests.sfm.textured_room import Room
@@ -44,14 +46,16 @@ def test_verified_matches_are_those_of_colmap(room: Room, tmp_path: Path) -> Non
     names = with_features(room, ours)
     pairs = np.array(list(combinations(range(len(names)), 2)))
 
-    match_pairs(quiet, ours, pairs, SETTINGS, SEED)
+    match_pairs(quiet, ours, pairs, SEED)
 
     shutil.copyfile(ours, theirs)
     with pycolmap.Database.open(theirs) as database:
         database.clear_two_view_geometries()
     listed = tmp_path / "pairs.txt"
     listed.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in pairs), encoding="utf-8")
-    pycolmap.verify_matches(theirs, listed, verification_options(SETTINGS, SEED))
+    options = pycolmap.TwoViewGeometryOptions()
+    options.min_num_inliers, options.ransac.random_seed, options.ransac.min_num_trials = MIN_INLIERS, SEED, 30
+    pycolmap.verify_matches(theirs, listed, options)
     matches, inliers = read_pair_results(ours, pairs)
     assert has_results(ours, pairs).all()
     assert (matches >= inliers).all() and (inliers > 50).sum() > 20
@@ -63,30 +67,12 @@ def test_verified_matches_are_those_of_colmap(room: Room, tmp_path: Path) -> Non
             assert found.config == expected.config
 
 
-def test_each_pair_is_matched_alike_whatever_is_matched_beside_it(room: Room, tmp_path: Path) -> None:
-    together, one_by_one = tmp_path / "together.db", tmp_path / "one_by_one.db"
-    with_features(room, together)
-    shutil.copyfile(together, one_by_one)
-    pairs = np.array([(0, 1), (0, 7), (1, 2), (3, 12)])
-
-    match_pairs(quiet, together, pairs, SETTINGS, SEED)
-    for pair in pairs[::-1]:
-        match_pairs(quiet, one_by_one, pair[None], SETTINGS, SEED)
-
-    with pycolmap.Database.open(together) as one, pycolmap.Database.open(one_by_one) as other:
-        for a, b in pairs.tolist():
-            ids = image_id(a), image_id(b)
-            np.testing.assert_array_equal(one.read_matches(*ids), other.read_matches(*ids))
-            found, expected = one.read_two_view_geometry(*ids), other.read_two_view_geometry(*ids)
-            np.testing.assert_array_equal(found.inlier_matches, expected.inlier_matches)
-
-
 def test_guided_matches_lie_along_epipolar_lines(room: Room, tmp_path: Path) -> None:
     """Essential matrices are the true ones here; of the room's pairs many are planar, and these stay as they are."""
     database = tmp_path / "database.db"
     with_features(room, database)
     pairs = np.array([(0, 1), (0, 3), (1, 4), (2, 9)])
-    match_pairs(quiet, database, pairs, SETTINGS, SEED)
+    match_pairs(quiet, database, pairs, SEED)
     b_T_a = np.linalg.inv(room.true_T_cam[pairs[:, 1]]) @ room.true_T_cam[pairs[:, 0]]
     with pycolmap.Database.open(database) as opened:
         for (a, b), motion in zip(pairs[:3].tolist(), b_T_a, strict=False):
@@ -117,46 +103,42 @@ def test_guided_matches_lie_along_epipolar_lines(room: Room, tmp_path: Path) -> 
             assert sampson_px(a_T_b, *rays, *focal).max() < 0.002 * 320 + 1e-6
 
 
+def _table(pairs: np.ndarray, matches: list[int], inliers: list[int]) -> pd.DataFrame:
+    return matched_pairs(pairs, np.full(len(pairs), "vio"), np.array(matches), np.array(inliers))
+
+
 def test_only_pairs_of_frames_with_few_matches_are_weak() -> None:
     pairs = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3), (0, 4), (4, 5)])
-    matches = np.array([250, 250, 250, 250, 250, 250, 80, 80])
-    inliers = np.array([90, 240, 240, 240, 240, 240, 60, 10])
-    matched = MatchedPairs(pairs, np.full(8, ""), matches, inliers, 15, nothing_compared(8))
-    assert matched.weak.tolist() == [False] * 6 + [True, False]
+    matched = _table(pairs, [250] * 6 + [80, 80], [90, 240, 240, 240, 240, 240, 60, 10])
+    assert are_weak(matched).tolist() == [False] * 6 + [True, True]
 
 
-def test_a_verified_pair_of_few_inliers_links_nothing() -> None:
-    pairs = np.array([(0, 1), (1, 2), (2, 3), (3, 4)])
-    # Of a walk round a corner between bare walls: a pair that is verified by chance, and breaks the model all the same.
-    inliers = np.array([44, 22, 30, 90])
-    inconsistent = np.array(["", "", "", PairInconsistency.ROTATION], object)
-    compared = replace(nothing_compared(4), reason=inconsistent)
-    matched = MatchedPairs(pairs, np.full(4, ""), inliers, inliers, 15, compared)
-    assert matched.verified.tolist() == [True, True, True, False]
-    assert matched.links.tolist() == [True, False, True, False]
-
-
-def test_matched_pairs_are_read_as_they_were_written(tmp_path: Path) -> None:
-    pairs, inliers = np.array([(0, 1), (1, 2)]), np.array([44, 22])
-    compared = replace(
-        nothing_compared(2), rotation=np.array([0.1, np.nan]), reason=np.array(["", PairInconsistency.ROTATION], object)
-    )
-    written = MatchedPairs(pairs, np.array(["vio", "retrieval"]), 2 * inliers, inliers, 15, compared)
-    written.save(tmp_path / "matched.npz")
-    read = MatchedPairs.load(tmp_path / "matched.npz")
-    assert read.min_inliers == 15 and read.verified.tolist() == [True, False]
-    assert read.compared.reason.tolist() == [PairInconsistency.NONE, PairInconsistency.ROTATION]
-    for name in ("pairs", "origin", "matches", "inliers"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(written, name))
-    np.testing.assert_array_equal(read.compared.rotation, compared.rotation)
+def test_a_pair_is_verified_by_its_inliers_and_by_vio_and_read_as_it_was_written(tmp_path: Path) -> None:
+    pairs = np.array([(0, 1), (1, 2), (2, 3)])
+    matched = _table(pairs, [90] * 3, [44, 14, 90])
+    matched["rotation"] = [np.nan, np.nan, 0.7]
+    matched["reason"] = ["", "", PairInconsistency.ROTATION]
+    written = checkpoint(tmp_path / "matched.parquet", lambda: matched)
+    read = checkpoint(tmp_path / "matched.parquet", lambda: matched[:0])
+    for table in (matched, written, read):
+        assert are_verified(table).tolist() == [True, False, False]
+        assert status_of(table).tolist() == ["verified", "too_few_inliers", "inconsistent_with_vio"]
+    pd.testing.assert_frame_equal(read, matched, check_dtype=False)
 
 
 def test_pairs_without_vio_are_not_said_to_be_inconsistent_with_it() -> None:
-    pairs, many = np.array([(0, 1), (1, 2), (2, 3)]), np.full(3, 90)
-    reason = np.array([PairInconsistency.ROTATION, PairInconsistency.GRAVITY, PairInconsistency.GRAVITY], object)
-    matched = MatchedPairs(pairs, np.full(3, ""), many, many, 15, replace(nothing_compared(3), reason=reason))
-    with_vio, without = excluded_pairs(matched, np.array([True, True, False, False]))
+    matched = _table(np.array([(0, 1), (1, 2), (2, 3)]), [90] * 3, [90] * 3)
+    matched["reason"] = [PairInconsistency.ROTATION, PairInconsistency.GRAVITY, PairInconsistency.GRAVITY]
+
+    def said(posed: list[bool]) -> list[str]:
+        lines: list[str] = []
+        run: Any = SimpleNamespace(say=lines.append)
+        vio: Any = SimpleNamespace(posed=np.array(posed))
+        report_excluded_pairs(run, matched, vio)
+        return lines
+
+    with_vio, without = said([True, True, False, False])
     assert "2 verified pairs excluded: relative pose inconsistent with VIO" in with_vio
     assert "1 verified pairs excluded: relative pose inconsistent with gravity by the reference poses" in without
-    (line,) = excluded_pairs(matched, np.zeros(4, bool))
+    (line,) = said([False] * 4)
     assert "inconsistent with VIO" not in line

@@ -1,28 +1,21 @@
 """Pairs against VIO: right pairs agree in any gauge, wrong ones are named, and drift is allowed for."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.poses import Array, make_pose, relative, yaw_rotation
 from groundwalk.sfm.pairs.odometry import (
     Odometry,
-    PairLimits,
     compare_with_vio,
-    differing_sessions,
     drift_between,
     motions_over,
     odometry,
+    without_tilted,
 )
 
-_LIMITS = PairLimits(
-    VioDrift.in_degrees(0.1, 0.03, 3.0, 2.5), gravity_rad=float(np.radians(5.0)), direction_rad=float(np.radians(15.0))
-)
 _WIDE = np.radians(10.0)
 
 
@@ -36,7 +29,7 @@ def _walk(frames: int, seed: int) -> tuple[Array, np.ndarray, np.ndarray]:
 
 
 def _odometry(poses: Array, session: np.ndarray, t_ns: np.ndarray, jumps: tuple = ()) -> Odometry:
-    return odometry(session, t_ns, poses, -poses[:, 1, :3], jumps)
+    return odometry(session, session, t_ns, poses, -poses[:, 1, :3], jumps)
 
 
 def _unit(a_T_b: Array) -> Array:
@@ -51,13 +44,12 @@ def test_true_relative_poses_agree_wherever_the_vio_frame_lies(seed: int, yaw: f
     poses, session, t_ns = _walk(20, seed)
     pairs = np.array([[0, 1], [0, 3], [2, 7], [3, 15], [11, 12]])
     vio = _odometry(make_pose(yaw_rotation(yaw), [50.0, 3.0, -9.0]) @ poses, session, t_ns)
-    found = compare_with_vio(pairs, _unit(relative(*poses[pairs.T])), np.full(5, _WIDE), vio, _LIMITS)
-    assert found.consistent.all()
-    assert np.nanmax(found.rotation) < 1e-6
-    assert np.nanmax(found.direction) < 1e-6
+    found = compare_with_vio(pairs, _unit(relative(*poses[pairs.T])), np.full(5, _WIDE), vio)
+    assert (found["reason"] == "").all()
+    assert found[["rotation", "direction"]].max().max() < 1e-6
     # Gravity is known across sessions, the motion isn't.
-    assert np.isfinite(found.gravity).all()
-    assert np.isnan(found.rotation).tolist() == [False, False, False, True, False]
+    assert found["gravity"].notna().all()
+    assert found["rotation"].isna().tolist() == [False, False, False, True, False]
 
 
 @pytest.mark.parametrize(
@@ -72,7 +64,7 @@ def test_a_wrong_pair_of_a_session_is_named(turn: list[float], reason: str) -> N
     if reason == "direction of motion":
         a_T_b[:, :3, 3] *= -1
     vio = _odometry(poses, session, t_ns)
-    assert compare_with_vio(pairs, a_T_b, np.full(1, _WIDE), vio, _LIMITS).reason.tolist() == [reason]
+    assert compare_with_vio(pairs, a_T_b, np.full(1, _WIDE), vio)["reason"].tolist() == [reason]
 
 
 def test_across_sessions_a_pair_that_tilts_gravity_is_named_and_a_turn_is_not() -> None:
@@ -84,7 +76,7 @@ def test_across_sessions_a_pair_that_tilts_gravity_is_named_and_a_turn_is_not() 
         turned = Rotation.from_rotvec(np.radians(20) * np.array(about)).as_matrix()
         a_T_b[row, :3, :3] = world_R_a.T @ turned @ world_R_a @ a_T_b[row, :3, :3]
     vio = _odometry(poses, session, t_ns)
-    assert compare_with_vio(pairs, a_T_b, np.full(2, _WIDE), vio, _LIMITS).reason.tolist() == ["gravity", ""]
+    assert compare_with_vio(pairs, a_T_b, np.full(2, _WIDE), vio)["reason"].tolist() == ["gravity", ""]
 
 
 @pytest.mark.parametrize("first", [0, 1])
@@ -96,22 +88,22 @@ def test_a_session_with_another_gravity_is_no_reason_against_its_pairs(first: in
     tilted[10:, :3] = Rotation.from_euler("xz", [40, 15], degrees=True).as_matrix() @ poses[10:, :3]
     vio = _odometry(tilted, session, t_ns)
     wide = np.full(len(pairs), _WIDE)
-    assert not compare_with_vio(pairs, a_T_b, wide, vio, _LIMITS).consistent.any()
-    differing = differing_sessions(pairs, a_T_b, vio, _LIMITS.gravity_rad)
-    assert differing == {frozenset({"0", "1"})}
-    assert compare_with_vio(pairs, a_T_b, wide, replace(vio, differing=differing), _LIMITS).consistent.all()
+    assert (compare_with_vio(pairs, a_T_b, wide, vio)["reason"] == "gravity").all()
+    vio = without_tilted(vio, pairs, a_T_b)
+    assert vio.tilted == {frozenset({"0", "1"})}
+    assert (compare_with_vio(pairs, a_T_b, wide, vio)["reason"] == "").all()
 
     # Wrong pairs each say another direction, and gravity that is right is no difference.
     right = _odometry(poses, session, t_ns)
     a_T_b[::2, :3, :3] = Rotation.random(len(pairs[::2]), rng=np.random.default_rng(0)).as_matrix()
-    assert not differing_sessions(pairs, a_T_b, right, _LIMITS.gravity_rad)
+    assert not without_tilted(right, pairs, a_T_b).tilted
 
 
 def test_drift_grows_with_the_path_and_a_jump_adds_to_it() -> None:
     poses, session, t_ns = _walk(10, 3)
     pairs = np.array([[0, 1], [0, 4], [4, 6]])
-    calm = drift_between(_odometry(poses, session, t_ns), pairs, _LIMITS.drift)
-    jumped = drift_between(_odometry(poses, session, t_ns, (("0", int(t_ns[5]), 4.6, 0.2),)), pairs, _LIMITS.drift)
+    calm = drift_between(_odometry(poses, session, t_ns), pairs)
+    jumped = drift_between(_odometry(poses, session, t_ns, (("0", int(t_ns[5]), 4.6, 0.2),)), pairs)
     assert calm[0] == pytest.approx([0.13, 0.22, 0.16])
     assert calm[1] == pytest.approx(np.radians(3 + 2.5 * np.sqrt([1, 4, 2])))
     assert jumped[0] - calm[0] == pytest.approx([0, 0, 4.6])
@@ -124,9 +116,8 @@ def test_frames_without_vio_are_compared_with_nothing() -> None:
     pairs = np.array([[1, 2], [2, 3]])
     vio = _odometry(poses, session, t_ns)
     assert np.isfinite(vio.travelled_m).all()
-    found = compare_with_vio(pairs, np.tile(np.eye(4), (2, 1, 1)), np.full(2, _WIDE), vio, _LIMITS)
-    assert found.consistent.all()
-    assert np.isnan(found.rotation).all()
+    found = compare_with_vio(pairs, np.tile(np.eye(4), (2, 1, 1)), np.full(2, _WIDE), vio)
+    assert (found["reason"] == "").all() and found["rotation"].isna().all()
 
 
 def test_motions_reach_as_far_as_asked_on_and_back() -> None:

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.sfm.cameras.adjustment import Adjusted, Bundle, CameraPriors, Cameras
-from groundwalk.sfm.model import blobs_of
 from groundwalk.sfm.quality.covariance import Covariances, covariances
 
 _FRAMES, _POINTS, _RUNS = 8, 300, 25
@@ -90,31 +89,6 @@ def test_errors_of_motions_have_the_size_that_their_standard_deviations_say() ->
     assert largest[2] < 0.5 * largest[0]
 
 
-def test_shifts_that_the_features_of_a_surface_share_are_part_of_the_covariance() -> None:
-    """The adjustment follows them, and no residual shows it."""
-    rng, surface_px = np.random.default_rng(8), 0.5
-    truth = _ring_of_cameras()
-    corner = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
-    surface = rng.integers(0, 8, _POINTS)
-    xyz = corner[surface] + rng.uniform(-0.5, 0.5, (_POINTS, 3))
-    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
-    direction = xyz[point] - truth[frame, :3, 3]
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    exact_px = _project(truth, xyz, frame, point)
-    squared = []
-    for _ in range(_RUNS):
-        shift_per_direction = rng.normal(0, surface_px, (8, 2, 3))[surface[point]]
-        shifted_px = exact_px + np.einsum("mij,mj->mi", shift_per_direction, direction)
-        observed_px = shifted_px + rng.normal(0, 0.05, exact_px.shape)
-        adjusted, adjusted_xyz = _bundle_adjusted(truth, xyz, observed_px.reshape(_FRAMES, _POINTS, 2))
-        bundle, error = Bundle(adjusted, adjusted_xyz, frame, point, observed_px), _error_without_gauge(truth, adjusted)
-        stated = [_covariances(bundle, surface_px=px) for px in (0.0, surface_px)]
-        squared.append([np.einsum("ni,nij,nj->n", error, np.linalg.inv(one.poses), error) for one in stated if one])
-    without, with_them = np.mean(squared, axis=(0, 2))
-    assert without > 30
-    assert 3 < with_them < 9
-
-
 def test_covariance_follows_the_gauge() -> None:
     truth = _ring_of_cameras()
     rng = np.random.default_rng(4)
@@ -132,7 +106,7 @@ def test_covariance_follows_the_gauge() -> None:
     assert np.allclose(there.motions, here.motions, rtol=1e-5)
 
 
-def test_the_same_blob_twice_tells_no_more_than_once() -> None:
+def test_a_keypoint_that_is_there_twice_tells_no_more_than_once() -> None:
     truth, rng = _ring_of_cameras(), np.random.default_rng(5)
     xyz = rng.uniform(-1, 1, (_POINTS, 3))
     frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
@@ -144,16 +118,9 @@ def test_the_same_blob_twice_tells_no_more_than_once() -> None:
         np.concatenate([point, _POINTS + point])[order],
         np.concatenate([observed_px, observed_px])[order],
     )
-    again = Bundle(truth, np.concatenate([xyz, xyz]), *both)
-    assert blobs_of(again).tolist() == 2 * list(range(_POINTS))
-    twice = _covariance(again, blobs_of(again))
+    twice = _covariance(Bundle(truth, np.concatenate([xyz, xyz]), *both))
     assert once is not None and twice is not None
     assert np.allclose(twice, once, rtol=1e-3, atol=1e-9)
-    counted_twice = _covariance(again)
-    # As separate blobs they would tell more, though not twice as much: their residuals hang together.
-    assert counted_twice is not None
-    ratio = np.diagonal(counted_twice / once, axis1=1, axis2=2)
-    assert (ratio > 0.5).all() and (ratio < 1).all()
 
 
 def test_no_covariance_where_the_observations_do_not_determine_the_poses() -> None:
@@ -169,19 +136,17 @@ def test_residuals_that_hang_together_widen_what_images_tell_and_no_prior() -> N
     exact_px = _project(truth, xyz, frame, point)
     observed_px = exact_px + rng.normal(0, _NOISE_PX, exact_px.shape) + np.where(exact_px[:, :1] < 400, 1.0, -1.0)
     found = _covariances(Bundle(truth, xyz, frame, point, observed_px))
-    assert found is not None and found.by_cell > 3
+    assert found is not None and found.by_region > 3
     assert np.allclose(np.sqrt(np.diag(found.shared)), _EXACT, rtol=0.05)
 
 
-def _covariance(bundle: Bundle, blobs: np.ndarray | None = None) -> Array | None:
+def _covariance(bundle: Bundle) -> Array | None:
     """(N, 6, 6) of poses."""
-    estimate = _covariances(bundle, blobs)
+    estimate = _covariances(bundle)
     return None if estimate is None else estimate.poses
 
 
-def _covariances(
-    bundle: Bundle, blobs: np.ndarray | None = None, surface_px: float = 0.0, motions: np.ndarray | None = None
-) -> Covariances | None:
+def _covariances(bundle: Bundle, motions: np.ndarray | None = None) -> Covariances | None:
     """Of a model adjusted with pinhole cameras that are known exactly."""
     size = np.array(_SIZE_PX) / 2
     cameras = Cameras(
@@ -200,7 +165,7 @@ def _covariances(
     one, rates = np.full(1, _EXACT), np.full((_FRAMES, 3), _EXACT)
     priors = CameraPriors(cameras, _EXACT**2 * np.eye(4)[None], one, one, rates)
     adjusted = Adjusted(bundle, cameras, priors, _LOSS_PX, np.ones(len(bundle.xyz)))
-    return covariances(adjusted, np.arange(len(bundle.xyz)) if blobs is None else blobs, surface_px, motions)
+    return covariances(adjusted, np.array([[0, 1]]) if motions is None else motions)
 
 
 def _ring_of_cameras() -> Array:

@@ -5,21 +5,20 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from groundwalk.sfm.cameras.motion import MAX_GAP_S, UNKNOWN_ANGULAR_SD, Motion
-from groundwalk.sfm.mapping.attempt_models import AttemptModels
-from groundwalk.sfm.mapping.attempts import Attempt
-from groundwalk.sfm.mapping.source import HeldOutCheck
-from groundwalk.sfm.model import Model
-from groundwalk.sfm.pairs.matching import MatchedPairs
+from groundwalk.sfm.mapping.attempts import MIN_CONSISTENT, Attempt
+from groundwalk.sfm.mapping.built import BuiltModel
+from groundwalk.sfm.pairs.matched import are_verified, rows_of, status_of
+from groundwalk.sfm.pairs.odometry import Odometry
+from groundwalk.sfm.quality.covariance import Covariances
 from groundwalk.sfm.quality.focal_steps import MAX_FOCAL_ERROR
-from groundwalk.sfm.quality.residuals import pattern_of
 from groundwalk.sfm.settings import SfmSettings
-from groundwalk.store import StageRun
-from groundwalk.store.choices import PairStatus
+from groundwalk.store import StageRun, UserError
+from groundwalk.store.choices import AttemptOutcome, PairStatus
 from groundwalk.store.hints import setting_of
 
+_MAX_COHERENCE = 4.0
 # No phone's sensor takes as long to read its rows, and so many sigmas are clear.
 _SENSORS_READOUT_S, _READOUT_SIGMAS = 0.045, 3.0
 _FRAMES_AT_ENDS = 2  # of a session
@@ -28,70 +27,81 @@ _CLEAR_SIGMAS = 2.0
 _MIN_OFFSET_S, _OFFSET_SIGMAS = 0.002, 3.0
 
 
-def report_models(
-    r: StageRun[SfmSettings],
-    made: AttemptModels,
-    model: Model,
-    not_registered: pd.Series,
-    check: HeldOutCheck,
-    attempts: list[Attempt],
-    best: int,
-) -> None:
+def report_attempts(r: StageRun[SfmSettings], attempts: list[Attempt], best: Attempt, frames: int) -> None:
+    """What is wrong with the best of the attempts at so many frames; UserError where none has a model."""
+    do = (
+        "look at the images: neighbours need to overlap by half and to be sharp; a larger "
+        f"{setting_of('sfm', 'max_features')} gives more features in hard images, and so may max_image_size"
+    )
+    if best.model is None:
+        found = "".join(f"\n{attempt}" for attempt in attempts)
+        raise UserError("no model of the frames", expected=f"some of {frames} frames in one", found=found, do=do)
+    if best.outcome is AttemptOutcome.TOO_FEW_REGISTERED:
+        limit = setting_of("align", "min_registered_fraction")
+        r.say(f"only {best.registered} of {frames} frames registered, which align refuses ({limit}): {do}")
+    if best.outcome is AttemptOutcome.INCONSISTENT_WITH_VIO:
+        why = f"further attempts wouldn't help: {best.input_fault}; " if best.input_fault else ""
+        r.say(
+            f"the motion of {best.consistent.sum() / best.registered:.0%} of registered frames is consistent with VIO, "
+            f"{MIN_CONSISTENT:.0%} expected; {why}selected: {best}"
+        )
+    r.figure("attempts", len(attempts))
+
+
+def report_models(r: StageRun[SfmSettings], best: Attempt, held_out: pd.DataFrame, not_registered: pd.Series) -> None:
     """Figures of the selected attempt, and its lines; `not_registered` (N,) says why frames have no pose."""
-    selected = made.selected
-    registered = int(model.registered.sum())
-    inconsistent = int((made.matched.status == PairStatus.INCONSISTENT_WITH_VIO).sum())
-    error_px = float(np.linalg.norm(model.residual_px, axis=1).mean())
+    model, selected = best.model, best.selected
+    assert model is not None
     figures: dict[str, float | str | None] = {
         "frames": len(model.registered),
-        "registered": registered,
+        "registered": best.registered,
         "models": len(selected),
         "largest_model": selected[0].images,
-        "attempts": len(attempts),
-        "consistent_fraction": attempts[best].consistent / registered,
-        "mapper": made.settings.mapper,
-        "pairs": len(made.matched.pairs),
-        "verified_pairs": int(made.matched.verified.sum()),
-        "pairs_inconsistent_with_vio": inconsistent,
+        "consistent_fraction": best.consistent.sum() / best.registered,
+        "mapper": best.settings.mapper,
+        "pairs": len(best.matched),
+        "verified_pairs": int(are_verified(best.matched).sum()),
+        "pairs_inconsistent_with_vio": int((status_of(best.matched) == PairStatus.INCONSISTENT_WITH_VIO).sum()),
         "points": len(model.xyz),
-        "mean_track_length": float(model.track_lengths().mean()),
-        "mean_reprojection_px": error_px,
-        "held_out_px": check.median_px(held_out=True),
-        "fitted_px": check.median_px(held_out=False),
+        "mean_track_length": float(model.track_lengths.mean()),
+        "mean_reprojection_px": model.mean_error_px,
+        "held_out_px": _median(held_out.loc[held_out["held_out"], "error_px"]),
+        "fitted_px": _median(held_out.loc[~held_out["held_out"], "error_px"]),
     }
     for name, value in figures.items():
         r.figure(name, value)
     where = "one model" if len(selected) == 1 else f"{len(selected)} models without common points"
     r.say(
-        f"{registered} of {len(model.registered)} frames in {where}, {len(model.xyz)} points, "
-        f"{error_px:.2f} px mean reprojection error"
+        f"{best.registered} of {len(model.registered)} frames in {where}, {len(model.xyz)} points, "
+        f"{model.mean_error_px:.2f} px mean reprojection error"
     )
     for why, count in not_registered.value_counts().items():
         r.say(f"{count} of {len(not_registered)} frames not registered: {why} (images.parquet, not_registered)")
 
 
-def excluded_pairs(matched: MatchedPairs, has_vio: NDArray[np.bool_]) -> list[str]:
-    """A line on the pairs that VIO excludes; and one on those of frames without VIO (N,), whose reference poses say
-    where gravity is."""
-    excluded = matched.status == PairStatus.INCONSISTENT_WITH_VIO
-    by_vio = has_vio[matched.pairs].any(axis=1)
-    counts = {"VIO": excluded & by_vio, "gravity by the reference poses": excluded & ~by_vio}
-    return [
-        f"{np.count_nonzero(rows)} verified pairs excluded: relative pose inconsistent with {what} (pairs.parquet, "
-        f"status {PairStatus.INCONSISTENT_WITH_VIO})"
-        for what, rows in counts.items()
-        if rows.any()
-    ]
-
-
-def report_patterns(r: StageRun[SfmSettings], residuals: pd.DataFrame, plot: str) -> None:
-    """A line for each lens of each model whose residuals show a pattern."""
-    for (model_id, lens_id), of_lens in residuals.groupby(["model_id", "lens_id"], sort=False):
-        if pattern := pattern_of(of_lens):
+def report_excluded_pairs(r: StageRun[SfmSettings], matched: pd.DataFrame, vio: Odometry) -> None:
+    """A line on the pairs that VIO excludes; and one on those of frames without VIO, whose reference poses say where
+    gravity is."""
+    excluded = status_of(matched) == PairStatus.INCONSISTENT_WITH_VIO
+    by_vio = vio.posed[rows_of(matched)].any(axis=1)
+    for what, rows in (("VIO", excluded & by_vio), ("gravity by the reference poses", excluded & ~by_vio)):
+        if rows.any():
             r.say(
-                f"model {model_id}, lens of {lens_id}: residuals show a {pattern[0]} that isn't modelled "
-                f"({pattern[1]:.2f} px, {plot})"
+                f"{np.count_nonzero(rows)} verified pairs excluded: relative pose inconsistent with {what} "
+                f"(pairs.parquet, status {PairStatus.INCONSISTENT_WITH_VIO})"
             )
+
+
+def report_coherence(r: StageRun[SfmSettings], model: BuiltModel, estimate: Covariances) -> None:
+    """Figures of a model's coherence, and a line where it is large."""
+    r.figure(f"coherence_rows_{model.folder}", estimate.by_rows)
+    r.figure(f"coherence_regions_{model.folder}", estimate.by_region)
+    if estimate.by_rows > _MAX_COHERENCE:
+        r.say(
+            f"model {model.model_id}: residuals are correlated in rows of frames (variance of their sums "
+            f"{estimate.by_rows:.0f} times that of independent ones): a rolling shutter, focus or stabilised video "
+            "isn't modelled; standard deviations are larger by the root of that"
+        )
 
 
 def report_motion(r: StageRun[SfmSettings], frames: pd.DataFrame, motion: Motion) -> None:
@@ -178,3 +188,7 @@ def _stated_lines(lens: dict[Hashable, Any], *, is_held: bool) -> Iterator[str]:
 def _with_sd(value: float, sd: float, pattern: str, sign: str = "") -> str:
     """A number and its standard deviation, where that is known."""
     return f"{value:{sign}{pattern}}" + ("" if np.isnan(sd) else f" ± {sd:{pattern}}")
+
+
+def _median(values: pd.Series) -> float | None:
+    return float(values.median()) if len(values) else None

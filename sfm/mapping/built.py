@@ -1,0 +1,44 @@
+"""Records of the models that mapping built, beside them in a file."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+_FILE = "built.json"
+
+
+@dataclass(frozen=True)
+class BuiltModel:
+    """A model that mapping built: by which mapping, its number there, its size, the rows of frames that were taken out
+    as misplaced, and, where it was selected, its folder; beside that `<folder>.npz` has what
+    `groundwalk.sfm.cameras.model_adjustment.load_adjusted` reads."""
+
+    mapping: str
+    number: int
+    images: int
+    points: int
+    observations: int
+    mean_track_length: float
+    mean_reprojection_px: float
+    misplaced: Sequence[int] = ()
+    folder: str = ""
+
+    @property
+    def model_id(self) -> str:
+        return f"{self.mapping}/{self.number}"
+
+
+def write_built(folder: Path, built: Sequence[BuiltModel]) -> None:
+    """Write what `read_built` reads."""
+    (folder / _FILE).write_text(json.dumps([asdict(one) for one in built]), encoding="utf-8")
+
+
+def read_built(output: Path) -> list[BuiltModel]:
+    """The models in the order in which they were built."""
+    return [BuiltModel(**entry) for entry in json.loads((output / _FILE).read_text(encoding="utf-8"))]
+
+
+def selected_models(built: Sequence[BuiltModel]) -> list[BuiltModel]:
+    """The models that were selected, the largest first."""
+    return sorted((entry for entry in built if entry.folder), key=lambda entry: (len(entry.folder), entry.folder))
