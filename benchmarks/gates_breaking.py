@@ -11,21 +11,10 @@ import numpy as np
 
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM
 from groundwalk.store.images import read_image
-from groundwalk.store.simulated import TRUE_POSES
 
 Break = Callable[[Path], None]
 _INTRINSICS = (0, 4)  # fx and fy in the row-major matrix
 _POSITION = (3, 7, 11)
-
-
-def copy_capture(source: Path, target: Path) -> None:
-    """A copy whose pictures are hard links where the file system has them."""
-    shutil.copytree(source, target, copy_function=_link)
-    for path in target.rglob("*.json"):
-        # Only these are changed in place.
-        content = path.read_bytes()
-        path.unlink()
-        path.write_bytes(content)
 
 
 def mirrored(walks: list[str], axis: int = 1) -> Break:
@@ -145,13 +134,3 @@ def _in_frames(walks: list[str], change: Callable[[dict[str, Any]], None]) -> Br
                 path.write_text(json.dumps(frame))
 
     return apply
-
-
-def _link(source: str, target: str) -> None:
-    if Path(source).name == TRUE_POSES:
-        shutil.copyfile(source, target)
-        return
-    try:
-        Path(target).hardlink_to(source)
-    except OSError:
-        shutil.copyfile(source, target)
