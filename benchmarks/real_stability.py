@@ -1,21 +1,25 @@
 """Whether a capture keeps its verdict when it is resampled: copies with fewer images, other rates, orders and seeds."""
 
-import json
 import os
 import shutil
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from benchmarks.real_cases import PROFILE, Case, run_stages
-from benchmarks.real_figures import PASSED, Finished, Verdict
-from groundwalk.store import DataRoot
+from benchmarks.real_figures import Run, run_stages
+from benchmarks.results import markdown_table
 from groundwalk.store.checkout import git_revision
 
-WHOLE = "whole"
+_HEADER = """# Real captures, resampled
+
+Written by `make bench-real stability=1` (`python -m benchmarks.real --stability`), not to be edited. Profile demo.
+Images are left out of a copy of the capture, its log of poses stays whole; 1, 2 and 5 Hz are import's `rate_hz`, with
+`min_frames=0`.
+"""
+_WHOLE = "whole"
 _ALL = ('sampling="all"',)
 
 
@@ -32,7 +36,7 @@ class Resampling:
 
 
 RESAMPLINGS = (
-    Resampling(WHOLE),
+    Resampling(_WHOLE),
     Resampling("every image", settings=_ALL),
     Resampling("every 2nd image", lambda n: np.arange(0, n, 2), _ALL),
     Resampling("every 3rd image", lambda n: np.arange(0, n, 3), _ALL),
@@ -44,119 +48,67 @@ RESAMPLINGS = (
 )
 
 
-@dataclass(frozen=True)
-class Tried:
-    """A resampling of a case and what came of it; `whole` is the outcome of the case as it is."""
-
-    case: str
-    resampling: str
-    images: int
-    verdict: Verdict
-    whole: str
-    revision: str
-    with_ground_truth: int | None = None
-    classes: dict[str, int] | None = None
-
-    @property
-    def is_whole(self) -> bool:
-        """It is what the others are held against."""
-        return self.resampling == WHOLE
-
-    @property
-    def agrees(self) -> bool:
-        """The outcome is the whole's."""
-        return self.verdict.outcome == self.whole
+def stability_of(name: str, capture: Path, settings: tuple[str, ...], folder: Path) -> pd.DataFrame:
+    """Run every resampling of a capture below `folder`, which is emptied: a row each, and whether its outcome agrees
+    with the whole's."""
+    shutil.rmtree(folder, ignore_errors=True)
+    rows = []
+    for number, resampling in enumerate(RESAMPLINGS):
+        source, into = capture.resolve(), folder / str(number)
+        if resampling.keep is not None:
+            source = into / "capture"
+            _copy(capture.resolve(), source, resampling.keep, 0 if resampling.shuffled else None)
+        run = run_stages(name, source, into, (*settings, *resampling.settings), resampling.seed)
+        rows.append({"case": name, "resampling": resampling.name, **_outcome(run), "revision": git_revision()})
+        print(f"  {name}, {resampling.name}: {run.verdict}", flush=True)
+    table = pd.DataFrame(rows)
+    return table.assign(agrees=table["verdict"].str.split().str[0] == table["verdict"].iloc[0].split()[0])
 
 
-def agreeing(stability: Iterable[Tried]) -> tuple[int, int]:
-    """How many resamplings have the whole's verdict, of how many."""
-    others = [tried for tried in stability if not tried.is_whole]
-    return sum(tried.agrees for tried in others), len(others)
+def write_stability(folder: Path, resampled: pd.DataFrame) -> None:
+    """Write real-stability.md into the folder."""
+    rows = [["case", "resampling", "images", "verdict", "frames with ground truth", "A, B, C", "agrees with the whole"]]
+    rows[0].append("revision")
+    for row in resampled.to_dict("records"):
+        same = "" if row["resampling"] == _WHOLE else "yes" if row["agrees"] else "**no**"
+        truth, classes = ("" if pd.isna(row[name]) else row[name] for name in ("with_ground_truth", "classes"))
+        truth = truth if truth == "" else f"{truth:.0f}"
+        rows.append(
+            [row["case"], row["resampling"], str(row["images"]), row["verdict"], truth, classes, same, row["revision"]]
+        )
+    others = resampled.loc[resampled["resampling"] != _WHOLE, "agrees"]
+    share = f"{others.sum()} of {len(others)} resamplings have the whole's verdict; 95 % to reach."
+    folder.mkdir(parents=True, exist_ok=True)
+    text = f"{_HEADER}\n{share}\n\n{markdown_table(rows)}\n"
+    (folder / "real-stability.md").write_text(text, encoding="utf-8")
 
 
-def left_out(frames: pd.DataFrame, keep: Callable[[int], np.ndarray]) -> set[str]:
-    """The image files (column `image`) that a resampling leaves out, session by session in time."""
-    dropped = set[str]()
-    for _, rows in frames.groupby("session_id", sort=True):
-        images = rows.sort_values("t_ns", kind="stable")["image"].to_numpy(str)
-        kept = np.zeros(len(images), bool)
-        kept[keep(len(images))] = True
-        dropped |= set(images[~kept])
-    return dropped
+def _outcome(run: Run) -> dict[str, object]:
+    align = run.manifest("align")["figures"] if run.has("align") else {}
+    return {
+        "images": len(run.table("import", "frames")) if run.has("import") else 0,
+        "verdict": run.verdict,
+        "with_ground_truth": align.get("with_ground_truth"),
+        "classes": ", ".join(str(align[f"quality_{quality}"]) for quality in "ABC") if align else None,
+    }
 
 
-def copy_without(source: Path, target: Path, dropped: set[str], order_seed: int | None) -> None:
-    """A capture folder without some files (paths relative to `source`), its files hard links where the disk allows it.
-    With a seed, files are written in a random order."""
+def _copy(source: Path, target: Path, keep: Callable[[int], np.ndarray], order_seed: int | None) -> None:
+    """A capture folder with some of the images of each of its folders, in the order of their names; its files hard
+    links where the disk allows it. With a seed, files are written in a random order."""
     paths = sorted(path for path in source.rglob("*") if path.is_file())
+    images = pd.DataFrame({"path": [p for p in paths if p.suffix.lower() in (".jpg", ".jpeg", ".png", ".heic")]})
+    left_out: set[Path] = set()
+    for _, of_folder in images.groupby(images["path"].map(lambda path: str(path.parent)))["path"]:
+        left_out |= set(of_folder) - set(of_folder.iloc[keep(len(of_folder))])
     if order_seed is not None:
         paths = [paths[i] for i in np.random.default_rng(order_seed).permutation(len(paths))]
     for path in paths:
-        inside = path.relative_to(source)
-        if inside.as_posix() in dropped:
+        if path in left_out:
             continue
-        (target / inside).parent.mkdir(parents=True, exist_ok=True)
+        inside = target / path.relative_to(source)
+        inside.parent.mkdir(parents=True, exist_ok=True)
         try:
-            os.link(path.resolve(), target / inside)
+            os.link(path.resolve(), inside)
         except OSError:
-            shutil.copyfile(path, target / inside)
-
-
-def stability_of(case: Case, out: Path) -> list[Tried]:
-    """Run every resampling of a case below `out`/<case>, which is emptied."""
-    folder = out / case.name
-    shutil.rmtree(folder, ignore_errors=True)
-    frames = _all_images(case, folder / "images")
-    tried = list[Tried]()
-    for number, resampling in enumerate(RESAMPLINGS):
-        if resampling.keep is not None and frames is None:
-            print(f"  {case.name}, {resampling.name}: left out: its images aren't files of the capture folder")
-            continue
-        tried.append(_try(case, resampling, frames, folder / str(number), tried[0] if tried else None))
-        print(f"  {case.name}, {resampling.name}: {tried[-1].verdict}", flush=True)
-    return tried
-
-
-def _all_images(case: Case, folder: Path) -> pd.DataFrame | None:
-    """import.frames with every sound image; None where they aren't image files of the capture (a video, an archive)."""
-    root = DataRoot(folder)
-    root.root.mkdir(parents=True)
-    costs, verdict = run_stages(case, root, _ALL, only=("import",))
-    if verdict.outcome != PASSED:
-        return None
-    frames = Finished(case.name, PROFILE, root, folder, costs, verdict).table("import", "frames")
-    is_file = [(case.folder / image).is_file() for image in frames["image"]]
-    return frames if all(is_file) else None
-
-
-def _try(case: Case, resampling: Resampling, frames: pd.DataFrame | None, folder: Path, whole: Tried | None) -> Tried:
-    root = DataRoot(folder / "data")
-    root.root.mkdir(parents=True)
-    if resampling.keep is not None and frames is not None:
-        copy = folder / "capture"
-        copy_without(case.folder.resolve(), copy, left_out(frames, resampling.keep), 0 if resampling.shuffled else None)
-        case = replace(case, folder=copy)
-    costs, verdict = run_stages(case, root, resampling.settings, resampling.seed)
-    run = Finished(case.name, PROFILE, root, folder, costs, verdict)
-    align = run.figures("align")
-    return Tried(
-        case.name,
-        resampling.name,
-        len(run.table("import", "frames")) if run.has("import") else 0,
-        verdict,
-        whole.verdict.outcome if whole else verdict.outcome,
-        git_revision(),
-        int(align["with_ground_truth"]) if align else None,
-        {name: int(align[f"quality_{name}"]) for name in "ABC"} if align else None,
-    )
-
-
-def save(tried: list[Tried], path: Path) -> None:
-    """Write a case's resamplings as JSON."""
-    path.write_text(json.dumps([asdict(one) for one in tried], indent=1), encoding="utf-8")
-
-
-def load(path: Path) -> list[Tried]:
-    """What `save` wrote."""
-    rows = json.loads(path.read_text(encoding="utf-8"))
-    return [Tried(**{**row, "verdict": Verdict(**row["verdict"])}) for row in rows]
+            shutil.copyfile(path, inside)
