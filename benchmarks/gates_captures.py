@@ -47,9 +47,11 @@ class Capture:
         return f"{self.place}-{self.seed}-{self.walks}{short}"
 
 
-def write_capture(folder: Path, capture: Capture) -> None:
-    """Render a capture into `folder`, which must not be there, with its true poses beside it."""
-    plan = _corridor(capture.seed) if capture.place == CORRIDOR else scenery(capture.place, capture.seed)
+def write_capture(folder: Path, capture: Capture, plan: SceneryPlan | None = None) -> None:
+    """Render a capture into `folder`, which must not be there, with its true poses beside it; through `plan` where its
+    place isn't one of ours."""
+    if plan is None:
+        plan = _corridor(capture.seed) if capture.place == CORRIDOR else scenery(capture.place, capture.seed)
     if capture.length_m is not None:
         speed_mps = capture.length_m / _seconds(capture)
         plan = SceneryPlan(plan.place, replace(plan.route, speed_mps=speed_mps, spread_m=0.1, far_glances=0.0))

@@ -78,14 +78,15 @@ class Cameras:
 @dataclass(frozen=True)
 class CameraPriors:
     """Means of the unknowns of cameras, as `Cameras`; covariance (L, 4, 4) of k1, k2, k3 and readout in s; and one
-    sigma of log focal factors (S,), of a frame's focus by session (S,), and of a frame's angular velocity (N, 3) in
-    rad/s."""
+    sigma of log focal factors (S,), of a frame's focus by session (S,), of a frame's angular velocity (N, 3) in rad/s,
+    and of the lenses' principal points (L,) in px, which stay as they are logged."""
 
     mean: Cameras
     lens_covariance: Array
     log_focal_sd: Array
     focus_sd: Array
     angular_sd: Array
+    centre_sd_px: Array
 
 
 @dataclass(frozen=True)

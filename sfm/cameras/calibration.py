@@ -241,23 +241,21 @@ def calibrate(
     lenses = []
     for before, lens_pairs in zip(prior.lenses, of_lens, strict=True):
         matches = read_pair_matches(images, lens_pairs, np.array(before.coefficients[2:]), seed)
-        if len(matches.a_T_b) >= _MIN_PAIRS:
+        if matches is not None:
             before = estimated_lens(before, matches, images.frames, seed)
         lenses.append(before)
     replace(prior, lenses=lenses).save(output)
 
 
-def read_pair_matches(images: CalibrationImages, pairs: Pairs, stated_6: Array, seed: int) -> PairMatches:
-    """The verified matches of pairs (P, 2) of one lens, some of each; `stated_6` are its p1, p2, k3 to k6."""
+def read_pair_matches(images: CalibrationImages, pairs: Pairs, stated_6: Array, seed: int) -> PairMatches | None:
+    """The verified matches of pairs (P, 2) of one lens, some of each; `stated_6` are its p1, p2, k3 to k6. None of too
+    few pairs."""
     frames, motion = images.frames, images.motion
     intrinsics = frames[["fx", "fy", "cx", "cy"]].to_numpy(float)
     line, session = lines_of(frames), frames["session_id"].to_numpy(str)
     centre = frames[["vio_cam_tx", "vio_cam_ty", "vio_cam_tz"]].to_numpy(float)
     rng = np.random.default_rng(seed)
-    columns: dict[str, list[Array]] = {
-        name: [] for name in ("pair", "xy_a", "xy_b", "row_a", "row_b", "focal_a", "focal_b")
-    }
-    poses, twist_a, twist_b, ends = [], [], [], []
+    poses, twists, ends, points, rows = [], [], [], [], []
     with pycolmap.Database.open(images.database) as opened:
         for a, b in pairs.tolist():
             geometry = opened.read_two_view_geometry(image_id(a), image_id(b))
@@ -277,26 +275,20 @@ def read_pair_matches(images: CalibrationImages, pairs: Pairs, stated_6: Array, 
             # VIO's metres in units of the pair's translation; across sessions it has none.
             apart_m = np.linalg.norm(centre[a] - centre[b]) if session[a] == session[b] else np.inf
             apart_m = max(float(np.nan_to_num(apart_m, nan=np.inf, posinf=np.inf)), _MIN_DISTANCE_M)
-            twist_a.append(np.r_[motion.angular[a], motion.velocity[a] / apart_m])
-            twist_b.append(np.r_[motion.angular[b], motion.velocity[b] / apart_m])
+            twists.append([np.r_[motion.angular[row], motion.velocity[row] / apart_m] for row in (a, b)])
             ends.append([a, b])
             sample = matches[np.sort(rng.permutation(len(matches))[:_MAX_MATCHES])]
-            columns["pair"].append(np.full(len(sample), len(poses) - 1))
-            for name, row, points, side in (("a", a, xy[0], 0), ("b", b, xy[1], 1)):
-                observed_px = points[sample[:, side]]
-                columns[f"xy_{name}"].append((observed_px - intrinsics[row, 2:]) / intrinsics[row, :2])
-                columns[f"row_{name}"].append(readout_fraction(line[row], observed_px))
-                columns[f"focal_{name}"].append(np.full(len(sample), intrinsics[row, :2].mean()))
-    if not poses:
-        empty = np.empty(0)
-        return PairMatches(
-            np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)), empty, empty, empty, empty,
-            np.empty((0, 4, 4)), np.empty((0, 6)), np.empty((0, 6)), np.empty((0, 2), np.int64), stated_6,
-        )  # fmt: skip
-    joined: dict[str, Any] = {name: np.concatenate(parts) for name, parts in columns.items()}
-    twists = {"twist_a": np.stack(twist_a), "twist_b": np.stack(twist_b)}
-    ends_P2 = np.array(ends, np.int64)
-    return PairMatches(**joined, a_T_b=np.stack(poses), **twists, frames=ends_P2, stated_6=stated_6)
+            observed_px = [points_px[sample[:, side]] for side, points_px in enumerate(xy)]
+            rows.append(
+                np.stack([readout_fraction(line[row], px) for row, px in zip((a, b), observed_px, strict=True)], 1)
+            )
+            points.append((np.stack(observed_px, axis=1) - intrinsics[[a, b], 2:]) / intrinsics[[a, b], :2])
+    if len(poses) < _MIN_PAIRS:
+        return None
+    pair, frames_P2 = np.repeat(np.arange(len(poses)), [len(part) for part in rows]), np.array(ends, np.int64)
+    focal_px = intrinsics[:, :2].mean(axis=1)[frames_P2[pair]]
+    xy_M22, row_M2, twist_P26 = np.concatenate(points), np.concatenate(rows), np.array(twists)
+    return PairMatches(pair, xy_M22, row_M2, focal_px, np.stack(poses), twist_P26, frames_P2, stated_6)
 
 
 def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, seed: int) -> Lens:

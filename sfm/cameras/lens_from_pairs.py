@@ -16,10 +16,9 @@ from scipy.spatial.transform import Rotation
 from groundwalk.geometry.lens import distort_with_slope, undistort
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN
+from groundwalk.geometry.rows import summed
 
 Ints = NDArray[np.int64]
-Views = tuple[tuple[Array, Array], tuple[Array, Array]]
-
 EXACT_INFORMATION = 1e12
 """Of a prior that holds what it is of."""
 _MAX_STEPS = 16
@@ -33,31 +32,26 @@ _WIDE_STEPS, _FIRST_WIDENING = 4, 4.0
 
 @dataclass(frozen=True)
 class PairMatches:
-    """M matches of P pairs of one lens. Distorted image points at unit focal length (M, 2), the share of the readout
-    at which each row was exposed (M,), -0.5 to 0.5, mean focal lengths in pixels (M,); per pair: relative poses
-    a_T_b (P, 4, 4) with translations of length 1, and the twist of each camera (P, 6): angular velocity (rad/s) and
-    velocity in units of the pair's translation per second, in its axes; and the rows of its frames (P, 2). `stated_6`
-    are the lens's p1, p2, k3 to k6, which stay as they are."""
+    """M matches of P pairs of one lens, in both images. Distorted image points at unit focal length (M, 2, 2), the
+    share of the readout at which each one's row was exposed (M, 2), -0.5 to 0.5, mean focal lengths in pixels (M, 2);
+    per pair: relative poses a_T_b (P, 4, 4) with translations of length 1, the twist of each camera (P, 2, 6): angular
+    velocity (rad/s) and velocity in units of the pair's translation per second, in its axes; and the rows of its frames
+    (P, 2). `stated_6` are the lens's p1, p2, k3 to k6, which stay as they are."""
 
     pair: Ints
-    xy_a: Array
-    xy_b: Array
-    row_a: Array
-    row_b: Array
-    focal_a: Array
-    focal_b: Array
+    xy: Array
+    row: Array
+    focal_px: Array
     a_T_b: Array
-    twist_a: Array
-    twist_b: Array
+    twist: Array
     frames: Ints
     stated_6: Array
 
     def of_pairs(self, keep_P: NDArray[np.bool_]) -> "PairMatches":
         """Some of the pairs, with all of their matches."""
         keep_M = keep_P[self.pair]
-        of_matches = ("xy_a", "xy_b", "row_a", "row_b", "focal_a", "focal_b")
-        kept = {name: getattr(self, name)[keep_M] for name in of_matches}
-        kept |= {name: getattr(self, name)[keep_P] for name in ("a_T_b", "twist_a", "twist_b", "frames")}
+        kept = {name: getattr(self, name)[keep_M] for name in ("xy", "row", "focal_px")}
+        kept |= {name: getattr(self, name)[keep_P] for name in ("a_T_b", "twist", "frames")}
         return replace(self, pair=(np.cumsum(keep_P) - 1)[self.pair[keep_M]], **kept)
 
 
@@ -73,26 +67,27 @@ class LensEstimate:
 def sampson_of(matches: PairMatches, a_T_b: Array, parameters: Array) -> Array:
     """Signed Sampson distances (M,) in pixels of the captured images with a lens and readout time, poses (P, 4, 4); far
     away where the lens can't see the image point."""
-    return _sampson(matches, a_T_b, _rays(matches, parameters), float(parameters[2]))
+    return _sampson(matches, a_T_b, *_rays(matches, parameters), float(parameters[2]))
 
 
-def _sampson(matches: PairMatches, a_T_b: Array, views: Views, readout: float) -> Array:
-    (rays_a, to_ideal_a), (rays_b, to_ideal_b) = views
+def _sampson(matches: PairMatches, a_T_b: Array, rays: Array, to_ideal: Array, readout_s: float) -> Array:
     T = a_T_b[matches.pair]
     rotation, translation = T[:, :3, :3], T[:, :3, 3]
-    if readout:
-        turn_a, shift_a = _motion(matches.twist_a[matches.pair], readout * matches.row_a)
-        turn_b, shift_b = _motion(matches.twist_b[matches.pair], readout * matches.row_b)
+    if readout_s:
+        # mid_T_row: how a camera has moved at the time of a row.
+        moved = (readout_s * matches.row)[:, :, None] * matches.twist[matches.pair]
+        turn_a, turn_b = (Rotation.from_rotvec(moved[:, side, :3]).as_matrix() for side in (0, 1))
+        shift_a, shift_b = moved[:, 0, 3:], moved[:, 1, 3:]
         translation = np.einsum(
             "mji,mj->mi", turn_a, translation + np.einsum("mij,mj->mi", rotation, shift_b) - shift_a
         )
         rotation = np.swapaxes(turn_a, 1, 2) @ rotation @ turn_b
     essential = skew(translation) @ rotation
-    line_a = np.einsum("mij,mj->mi", essential, rays_b)
-    line_b = np.einsum("mji,mj->mi", essential, rays_a)
-    gradient = np.sum(np.einsum("mi,mij->mj", line_a[:, :2], to_ideal_a) ** 2, axis=1) / matches.focal_a**2
-    gradient += np.sum(np.einsum("mi,mij->mj", line_b[:, :2], to_ideal_b) ** 2, axis=1) / matches.focal_b**2
-    distance = np.sum(rays_a * line_a, axis=1) / np.sqrt(np.maximum(gradient, 1e-24))
+    line_a = np.einsum("mij,mj->mi", essential, rays[:, 1])
+    line_b = np.einsum("mji,mj->mi", essential, rays[:, 0])
+    slope = np.einsum("msi,msij->msj", np.stack([line_a, line_b], axis=1)[:, :, :2], to_ideal)
+    gradient = np.sum(np.sum(slope**2, axis=2) / matches.focal_px**2, axis=1)
+    distance = np.sum(rays[:, 0] * line_a, axis=1) / np.sqrt(np.maximum(gradient, 1e-24))
     return np.where(np.isfinite(distance), distance, _NO_RAY_PX)
 
 
@@ -116,7 +111,10 @@ def estimate_lens(matches: PairMatches, start: Array, prior_information: Array) 
         is_held = bool((np.diag(prior_information) >= EXACT_INFORMATION).all())
         by_pose, by_lens = _derivatives(matches, a_T_b, theta, residual, is_held=is_held)
         solved, bread, pull, force = _without_poses(matches, weight, residual, by_pose, by_lens)
-        inflation = max(1.0, float(np.trace(np.linalg.pinv(bread) @ _scatter(matches, force)) / len(theta) / variance))
+        # Products of the pulls of pairs that share an image, each product once.
+        of_frame = summed(np.concatenate([force, force]), matches.frames.T.ravel(), int(matches.frames.max()) + 1)
+        scatter = of_frame.T @ of_frame - force.T @ force
+        inflation = max(1.0, float(np.trace(np.linalg.pinv(bread) @ scatter) / len(theta) / variance))
         total = bread / variance / inflation + prior_information
         step = -np.linalg.solve(total, pull / variance / inflation + prior_information @ (theta - start))
         theta, covariance = theta + step, np.linalg.inv(total)
@@ -129,61 +127,42 @@ def estimate_lens(matches: PairMatches, start: Array, prior_information: Array) 
     return LensEstimate(theta, np.asarray(covariance, float), a_T_b)
 
 
-def _scatter(matches: PairMatches, force_P3: Array) -> Array:
-    """The sum (3, 3) of products of the pulls of pairs that share an image, each product once."""
-    of_frame = np.zeros((int(matches.frames.max()) + 1, 3))
-    for side in (0, 1):
-        np.add.at(of_frame, matches.frames[:, side], force_P3)
-    return np.asarray(of_frame.T @ of_frame - force_P3.T @ force_P3)
-
-
 def _without_poses(
     matches: PairMatches, weight: Array, residual: Array, by_pose: Array, by_lens: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Normal equations with each pair's pose eliminated: the poses' answer to the lens and to their own residuals
     (P, 5, 4), the lens's system (3, 3) and gradient (3,), and each pair's share of that gradient (P, 3)."""
     pairs = len(matches.a_T_b)
-    of_pose = weight[:, None] * by_pose
-    system = np.zeros((pairs, 5, 5))
-    np.add.at(system, matches.pair, of_pose[:, :, None] * by_pose[:, None, :])
+    of_pose = weight[:, None, None] * by_pose[:, :, None]
+    system = summed(of_pose * by_pose[:, None, :], matches.pair, pairs)
     # A pair that hardly moved tells no direction.
     system += (1e-6 * np.trace(system, axis1=1, axis2=2)[:, None, None] + 1e-9) * np.eye(5)
-    cross = np.zeros((pairs, 5, 4))
-    np.add.at(cross, matches.pair, of_pose[:, :, None] * np.column_stack([by_lens, residual])[:, None, :])
+    cross = summed(of_pose * np.column_stack([by_lens, residual])[:, None, :], matches.pair, pairs)
     solved = np.linalg.solve(system, cross)
     free = by_lens - np.einsum("mi,mij->mj", by_pose, solved[matches.pair, :, :3])
-    force = np.zeros((pairs, 3))
-    np.add.at(force, matches.pair, (weight * residual)[:, None] * free)
+    force = summed((weight * residual)[:, None] * free, matches.pair, pairs)
     bread = (weight[:, None] * by_lens).T @ by_lens - np.einsum("pij,pik->jk", cross[:, :, :3], solved[:, :, :3])
     pull = (weight * residual) @ by_lens - np.einsum("pij,pi->j", cross[:, :, :3], solved[:, :, 3])
     return np.asarray(solved, float), bread, pull, force
 
 
-def _rays(matches: PairMatches, parameters: Array) -> Views:
-    """Of both images' points: rays (M, 3) with z = 1, and their derivatives by the captured points (M, 2, 2)."""
+def _rays(matches: PairMatches, parameters: Array) -> tuple[Array, Array]:
+    """Of both images' points: rays (M, 2, 3) with z = 1, and their derivatives by the captured points (M, 2, 2, 2)."""
     lens = [*parameters[:2], *matches.stated_6]
-    a, b = (undistort(xy, lens) for xy in (matches.xy_a, matches.xy_b))
-    return _view(a, lens), _view(b, lens)
-
-
-def _view(ideal_M2: Array, lens: list[float]) -> tuple[Array, Array]:
-    slope = distort_with_slope(ideal_M2, lens)[1]
+    ideal = undistort(matches.xy.reshape(-1, 2), lens)
+    slope = distort_with_slope(ideal, lens)[1]
     determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
-    turned = np.stack([slope[:, 1, 1], -slope[:, 0, 1], -slope[:, 1, 0], slope[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+    turned = np.stack([slope[:, 1, 1], -slope[:, 0, 1], -slope[:, 1, 0], slope[:, 0, 0]], axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.insert(ideal_M2, 2, 1.0, axis=1), turned / determinant[:, None, None]
-
-
-def _motion(twist_M6: Array, time_M: Array) -> tuple[Array, Array]:
-    """mid_T_row: how a camera that moves so has moved after a time, rotations (M, 3, 3) and positions (M, 3)."""
-    return Rotation.from_rotvec(twist_M6[:, :3] * time_M[:, None]).as_matrix(), twist_M6[:, 3:] * time_M[:, None]
+        to_ideal = (turned / determinant[:, None]).reshape(-1, 2, 2, 2)
+    return np.insert(ideal, 2, 1.0, axis=1).reshape(-1, 2, 3), to_ideal
 
 
 def _derivatives(
     matches: PairMatches, a_T_b: Array, theta: Array, residual: Array, *, is_held: bool
 ) -> tuple[Array, Array]:
     """Of the residuals by each pair's pose (M, 5) and by the lens (M, 3; 0 where it is held), numerically."""
-    views = _rays(matches, theta)
+    rays, to_ideal = _rays(matches, theta)
 
     def slope(moved: Array) -> Array:
         # A match beyond what the lens can see tells nothing of it.
@@ -191,7 +170,9 @@ def _derivatives(
 
     pose_steps, lens_steps = _DIFFERENCE * np.eye(5), _DIFFERENCE * np.eye(3)
     moved_poses = [_moved(a_T_b, np.tile(step, (len(a_T_b), 1))) for step in pose_steps]
-    by_pose = np.column_stack([slope(_sampson(matches, moved, views, float(theta[2]))) for moved in moved_poses])
+    by_pose = np.column_stack(
+        [slope(_sampson(matches, moved, rays, to_ideal, float(theta[2]))) for moved in moved_poses]
+    )
     if is_held:
         return by_pose, np.zeros((len(residual), 3))
     by_lens = np.column_stack([slope(sampson_of(matches, a_T_b, theta + step)) for step in lens_steps])

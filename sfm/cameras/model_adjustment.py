@@ -37,7 +37,12 @@ _MIN_STEP_M = 0.02
 _LOG_FOCAL_SD = 0.01
 _FOCUS_SD, _PRIOR_FRAMES = 0.0003, 5
 _VARIANCE_STEPS, _MAX_SIGMAS = 100, 3.0
+# By how much of the image's longer side a principal point is off: one that a phone logs (0.02 to 0.25 % in chair and
+# charuco), and where there is no VIO and it mostly is the image's centre, from which those of phones are 0.4 and 1.4 %.
+_CENTRE_SD, _GUESSED_CENTRE_SD = 0.002, 0.015
 EXACT_SD = 1e-7
+# Of a stated lens that pairs of images deny, if not beyond chance: it is held, but not known.
+_UNDECIDED_COVARIANCE = np.diag([0.1**2, 0.2**2, 0.4**2, 0.0])
 _OUTLIER_SIGMAS = 4.0
 # A point that two frames see tells one number of their poses, which have six each.
 _MIN_OBSERVATIONS, _MIN_FRAMES = 8, 2
@@ -115,6 +120,9 @@ def adjust_model(
     learned = priors
     if settings.refine_cameras != "never":
         priors, learned = with_shrunk_sds(adjusted), with_likeliest_sds(adjusted)
+        lenses = [log.calibration.lenses[k] for k in np.unique(log.calibration.lens[rows])]
+        doubts = np.array([_UNDECIDED_COVARIANCE * lens.stated_is_undecided for lens in lenses])
+        learned = replace(learned, lens_covariance=learned.lens_covariance + doubts)
     adjusted = marginal_readout(adjust(bundle, adjusted.cameras, priors))
     _write_back(model, rows, point_ids, adjusted, features)
     observations.filter_observations_with_negative_depth()
@@ -232,6 +240,8 @@ def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSetting
     radius = float(np.median(np.linalg.norm(corner, axis=1)))
     coefficients = np.array([one.prior_coefficients for one in prior], float)
     mean = replace(cameras, coefficients=coefficients, readout_s=np.array([one.prior_readout_s for one in prior]))
+    has_vio = np.bincount(lens, np.isfinite(log.vio_T_cam[rows, 0, 3])) > 0
+    longer_px = np.array([2 * cameras.intrinsics[lens == number, 2:].max() for number in range(len(lenses))])
     is_fixed = settings.refine_cameras == "never"
     priors = CameraPriors(
         mean,
@@ -239,6 +249,7 @@ def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSetting
         np.full(len(sessions), EXACT_SD if is_fixed else _LOG_FOCAL_SD),
         np.full(len(sessions), EXACT_SD if is_fixed else _FOCUS_SD),
         np.tile(log.motion.angular_sd[rows, None], 3),
+        np.where(has_vio, _CENTRE_SD, _GUESSED_CENTRE_SD) * longer_px,
     )
     if is_fixed:
         priors = replace(priors, mean=cameras, lens_covariance=np.tile(EXACT_SD**2 * np.eye(4), (len(lenses), 1, 1)))
@@ -280,8 +291,8 @@ def with_shrunk_sds(adjusted: Adjusted) -> CameraPriors:
 
 
 def with_likeliest_sds(adjusted: Adjusted) -> CameraPriors:
-    """The priors with sds of each session's focus, and of its VIO's angular velocities about each camera axis, as its
-    images show them."""
+    """The priors with sds of each session's focal length and focus, and of its VIO's angular velocities about each
+    camera axis, as its images show them."""
     cameras, priors = adjusted.cameras, adjusted.priors
     focus_variance, angular_variance = frame_variances(adjusted)
     moved = cameras.angular - priors.mean.angular
@@ -292,7 +303,9 @@ def with_likeliest_sds(adjusted: Adjusted) -> CameraPriors:
         for axis in range(3):
             sd, moved_M = angular_sd[members, axis], moved[members, axis]
             angular_sd[members, axis] *= _sd_growth(moved_M, angular_variance[members, axis], sd)
-    return replace(priors, focus_sd=focus_sd, angular_sd=angular_sd)
+    # A prior that images deny says nothing of how well they know better.
+    log_focal_sd = np.maximum(priors.log_focal_sd, np.abs(cameras.log_focal))
+    return replace(priors, log_focal_sd=log_focal_sd, focus_sd=focus_sd, angular_sd=angular_sd)
 
 
 def _sd_growth(mean_M: Array, variance_M: Array, prior_sd: Array) -> float:

@@ -68,8 +68,8 @@ def estimate_time_offset(
     used, checked = has_vio & ~held_out_P, has_vio & held_out_P
     if used.sum() < _MIN_PAIRS or not checked.any():
         return None
-    angular_a, angular_b = matches.twist_a[used, :3], matches.twist_b[used, :3]
-    turns = _Turns(fitted.a_T_b[used, :3, :3], vio_a_R_b[used], angular_a, angular_b)
+    angular = matches.twist[:, :, :3]
+    turns = _Turns(fitted.a_T_b[used, :3, :3], vio_a_R_b[used], angular[used, 0], angular[used, 1])
     offset, prior_variance = _offset_of(turns)
     in_time = np.argsort(matches.frames[used].sum(axis=1), kind="stable")
     left_out = np.array_split(in_time, min(_BLOCKS, len(in_time)))
@@ -77,8 +77,8 @@ def estimate_time_offset(
     variance = (len(without) - 1) * without.var()
     errors = []
     for at in (0.0, offset):
-        a_T_b, twists = fitted.a_T_b[checked], (matches.twist_a[checked, :3], matches.twist_b[checked, :3])
-        a_T_b[:, :3, :3] = rotations_at(vio_a_R_b[checked], *twists, at)
+        a_T_b = fitted.a_T_b[checked]
+        a_T_b[:, :3, :3] = rotations_at(vio_a_R_b[checked], angular[checked, 0], angular[checked, 1], at)
         errors.append(float(np.median(np.abs(sampson_of(matches.of_pairs(checked), a_T_b, fitted.parameters)))))
     return TimeOffset(offset, float(np.sqrt(variance + prior_variance)), *errors)
 

@@ -67,6 +67,7 @@ def covariances(adjusted: Adjusted, motion_S2: Ints) -> Covariances | None:
 
     What the cameras' model leaves out is alike in the rows of a frame that are read out together, or in a region of the
     image. Where residuals are correlated more than independent ones would be (`coherence`), covariances grow by it.
+    What the frames share is also as uncertain as principal points make it (`_of_centres`).
     """
     bundle, cameras = adjusted.bundle, adjusted.cameras
     frames, points = len(bundle.sfm_T_cam), len(bundle.xyz)
@@ -98,6 +99,8 @@ def covariances(adjusted: Adjusted, motion_S2: Ints) -> Covariances | None:
     middle *= by_rows
     position = bundle.sfm_T_cam[:, :3, 3]
     poses = _gauge_free_sandwich(inverse, middle, position)
+    by_centres = _of_centres(adjusted, linear, weight, system.point_inverse).T @ of_shared.T
+    shared += by_centres.T @ by_centres
     return Covariances(poses, shared, _sds_of_motions(inverse, middle, position, motion_S2), by_rows, by_region)
 
 
@@ -109,6 +112,26 @@ def _dense(by_keypoint: csr_array, information: csr_array) -> Array:
         rows = slice(first, first + 10 * _CHUNK)
         middle[rows] += (by_keypoint[rows] @ transposed).toarray()
     return middle
+
+
+def _of_centres(adjusted: Adjusted, linear: Linearization, weight_M: Array, point_inverse: Array) -> Array:
+    """What principal points that are a standard deviation off pull each unknown by, (10 N + G, 2 L).
+
+    To first order all cameras turn with them, which align allows for. What is left is d (x^2, x y) for one that is off
+    by d along x, which a decentred lens looks like, too (Brown, "Decentering distortion of lenses", 1966). All images
+    have it alike, so that their scatter doesn't tell; where they are taken round one thing, it passes for another focal
+    length.
+    """
+    bundle, cameras = adjusted.bundle, adjusted.cameras
+    i = bundle.frame
+    at = (bundle.observed_px - cameras.intrinsics[i, 2:]) / cameras.focal[i]
+    pulls = []
+    for lens, sd_px in enumerate(adjusted.priors.centre_sd_px):
+        size_M = np.where(cameras.lens[i] == lens, sd_px, 0.0) / adjusted.noise_M
+        for axis in (0, 1):
+            force = _forces(linear, weight_M, (size_M * at[:, axis])[:, None] * at, bundle.point, point_inverse)
+            pulls.append(_rows_of_unknowns(force, adjusted, np.zeros_like(i), 1).toarray())
+    return np.hstack(pulls)
 
 
 def keypoints_of(bundle: Bundle) -> Ints:

@@ -41,6 +41,7 @@ from tests.known import there
 
 _FRAMES, _POINTS, _NOISE_PX = 24, 2500, 0.2
 _LENS, _READOUT_S = (0.092, -0.125), 0.02
+_INTRINSICS = [483.0, 483.0, 320.0, 236.0]
 _ANGULAR_SD, _FOCUS_SD = 0.02, 0.003
 
 
@@ -59,7 +60,7 @@ def _walk(seed: int, first_row: str = "top", k3: float = 0.0, straight: bool = F
     direction = rng.normal(size=(points, 3)) * [1, 0.5, 1]
     xyz = direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(7, 13, (points, 1))
     cameras = Cameras(
-        np.tile([483.0, 483.0, 320.0, 236.0], (_FRAMES, 1)),
+        np.tile(_INTRINSICS, (_FRAMES, 1)),
         readout_lines([first_row] * _FRAMES, 640, 480),
         np.zeros(_FRAMES, int),
         np.arange(_FRAMES) * 2 // _FRAMES,
@@ -87,6 +88,25 @@ def _walk(seed: int, first_row: str = "top", k3: float = 0.0, straight: bool = F
     return bundle, cameras
 
 
+def _ring(seed: int, centre_px: Array) -> tuple[Bundle, Cameras]:
+    """A camera that goes round an object, and what it sees if the principal point isn't the logged one."""
+    _, cameras = _walk(seed)
+    rng = np.random.default_rng(seed)
+    angle = np.linspace(0, 2 * np.pi, _FRAMES, endpoint=False)
+    pose = np.tile(np.eye(4), (_FRAMES, 1, 1))
+    pose[:, :3, :3] = Rotation.from_euler("y", angle[:, None]).as_matrix()
+    pose[:, :3, 3] = -4 * pose[:, :3, 2]
+    direction = rng.normal(size=(600, 3))
+    xyz = direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(0.5, 1.2, (600, 1))
+    depth = np.einsum("nj,npj->np", pose[:, :3, 2], xyz - pose[:, None, :3, 3])
+    frame, point = np.nonzero(depth < 4)  # the side that it looks at
+    bundle = Bundle(pose, xyz, frame, point, np.full((len(point), 2), 240.0))
+    cameras = replace(cameras, intrinsics=cameras.intrinsics + np.r_[0.0, 0.0, centre_px])
+    for _ in range(6):
+        bundle = replace(bundle, observed_px=project(bundle, cameras))
+    return bundle, cameras
+
+
 def _adjusted(
     seed: int,
     first_row: str = "top",
@@ -96,14 +116,17 @@ def _adjusted(
     angular_sd: float = _ANGULAR_SD,
     noise_px: float | Array = _NOISE_PX,
     straight: bool = False,
+    centre_sd_px: float = 0.0,
+    walk: tuple[Bundle, Cameras] | None = None,
 ) -> tuple[Adjusted, Bundle, Cameras]:
     """The walk adjusted from noisy observations and VIO's angular velocities; the lens as phones have it on average.
     `noise_px` is the sd of all observations or of each point's."""
-    truth, cameras = _walk(seed, first_row, k3, straight)
+    truth, cameras = walk or _walk(seed, first_row, k3, straight)
     assumed = readout_lines([assumed_first_row or first_row] * _FRAMES, 640, 480)
     rng = np.random.default_rng(100 + seed)
     mean = replace(
         cameras,
+        intrinsics=np.tile(_INTRINSICS, (_FRAMES, 1)),
         readout_line=assumed,
         coefficients=np.array([[0.08, -0.12, 0, 0, 0, 0, 0, 0]], float),
         readout_s=np.zeros(1),
@@ -117,6 +140,7 @@ def _adjusted(
         np.full(2, 0.01),
         np.full(2, focus_sd),
         np.full((_FRAMES, 3), angular_sd),
+        np.full(1, centre_sd_px),
     )
     pose = truth.sfm_T_cam.copy()
     pose[:, :3, 3] += rng.normal(0, 0.01, (_FRAMES, 3))
@@ -266,6 +290,33 @@ def test_turns_and_sideways_steps_tell_the_focal_length() -> None:
         estimate = there(covariances(adjusted, np.array([[0, 1]])))
         sd.append(np.sqrt(np.diag(estimate.shared)[-2:]).max())
     assert sd[1] < sd[0] / 2
+
+
+def test_the_focal_lengths_sigma_round_an_object_allows_for_a_principal_point_that_is_off() -> None:
+    """All images have that alike, so that none of them differs by it."""
+    ratios: list[list[float]] = [[], []]
+    for seed in range(2):
+        truth, cameras = _ring(seed, np.array([3.0, -4.0]))
+        adjusted, _, _ = _adjusted(seed, walk=(truth, cameras))
+        off = adjusted.cameras.log_focal - cameras.log_focal
+        for centre_sd_px, of_one in zip((0.0, 4.0), ratios, strict=True):
+            priors = replace(adjusted.priors, centre_sd_px=np.full(1, centre_sd_px))
+            estimate = there(covariances(replace(adjusted, priors=priors), np.array([[0, 1]])))
+            of_one += (off / np.sqrt(np.diag(estimate.shared)[-2:])).tolist()
+    without, with_them = np.sqrt(np.mean(np.square(ratios), axis=1))
+    assert without > 2
+    assert 0.3 < with_them < 1.6
+
+
+def test_a_prior_of_the_focal_length_that_images_deny_does_not_make_it_certain() -> None:
+    truth, cameras = _ring(0, np.zeros(2))
+    longer = replace(cameras, log_focal=cameras.log_focal + 0.06)
+    for _ in range(6):
+        truth = replace(truth, observed_px=project(truth, longer))
+    adjusted, _, _ = _adjusted(0, walk=(truth, longer))
+    assert (with_likeliest_sds(adjusted).log_focal_sd > 0.03).all()
+    right, _, _ = _adjusted(0)
+    assert np.array_equal(with_likeliest_sds(right).log_focal_sd, right.priors.log_focal_sd)
 
 
 @pytest.mark.parametrize("first_row", ["right", "bottom", "left"])

@@ -44,10 +44,9 @@ def _matches(lens: Array, seed: int, extent: float, readout_s: float = 0.0) -> P
         turn = Rotation.from_rotvec(-readout_s * row[:, None] * twist[pair, :3])
         ray = turn.apply(np.column_stack([at, np.ones(len(at))]))
         seen.append(distort(ray[:, :2] / ray[:, 2:], lens) + rng.normal(0, _NOISE_PX / _FOCAL_PX, at.shape))
-    focal, ends = np.full(len(pair), _FOCAL_PX), np.arange(2 * _PAIRS).reshape(-1, 2)
-    return PairMatches(
-        pair, seen[0], seen[1], rows[0], rows[1], focal, focal, a_T_b, twists[0], twists[1], ends, lens[2:]
-    )
+    focal_px, ends = np.full((len(pair), 2), _FOCAL_PX), np.arange(2 * _PAIRS).reshape(-1, 2)
+    xy, row, twist = (np.stack(list(parts), axis=1) for parts in (seen, rows, twists))
+    return PairMatches(pair, xy, row, focal_px, a_T_b, twist, ends, lens[2:])
 
 
 @pytest.mark.parametrize("name", _LENSES)

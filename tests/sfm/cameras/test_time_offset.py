@@ -49,8 +49,8 @@ def _estimated(offset_s: float, seed: int, still: bool = False, drift_sd: float 
     xy = [(p[..., :2] / p[..., 2:]).reshape(-1, 2)[ahead] for p in (xyz_a, xyz_b)]
     xy = [at + rng.normal(0, _NOISE_PX / _FOCAL_PX, at.shape) for at in xy]
     pair = np.repeat(np.arange(len(ends)), _POINTS)[ahead]
-    row, focal = np.zeros(len(pair)), np.full(len(pair), _FOCAL_PX)
-    matches = PairMatches(pair, xy[0], xy[1], row, row, focal, focal, a_T_b, twist[a], twist[b], ends, np.zeros(6))
+    row, focal_px, xy_M22 = np.zeros((len(pair), 2)), np.full((len(pair), 2), _FOCAL_PX), np.stack(xy, axis=1)
+    matches = PairMatches(pair, xy_M22, row, focal_px, a_T_b, twist[ends], ends, np.zeros(6))
     fitted = a_T_b.copy()
     fitted[:, :3, :3] = fitted[:, :3, :3] @ Rotation.from_rotvec(rng.normal(0, _IMAGE_SD, (len(ends), 3))).as_matrix()
     is_held_out = rng.random(len(ends)) < 0.25

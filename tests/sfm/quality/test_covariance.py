@@ -163,7 +163,7 @@ def _covariances(bundle: Bundle, motions: np.ndarray | None = None) -> Covarianc
         np.zeros((_FRAMES, 3)),
     )
     one, rates = np.full(1, _EXACT), np.full((_FRAMES, 3), _EXACT)
-    priors = CameraPriors(cameras, _EXACT**2 * np.eye(4)[None], one, one, rates)
+    priors = CameraPriors(cameras, _EXACT**2 * np.eye(4)[None], one, one, rates, np.zeros(1))
     adjusted = Adjusted(bundle, cameras, priors, _LOSS_PX, np.ones(len(bundle.xyz)))
     return covariances(adjusted, np.array([[0, 1]]) if motions is None else motions)
 
