@@ -9,10 +9,9 @@ from scipy.spatial.transform import Rotation
 from benchmarks.gates_captures import CORRIDOR, Capture, write_capture
 from groundwalk.geometry.poses import inverse
 from groundwalk.simulation import details, materials
-from groundwalk.simulation.canvas import Canvas
-from groundwalk.simulation.place import Builder, Light
-from groundwalk.simulation.scenes import SceneryPlan
-from groundwalk.simulation.walks import Route
+from groundwalk.simulation.canvas import Canvas, Material
+from groundwalk.simulation.place import Light, Route, SceneryPlan
+from groundwalk.simulation.scenes.builder import Builder
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of, read_table, write_table
 
@@ -48,7 +47,7 @@ def _hall(seed: int) -> SceneryPlan:
     return SceneryPlan(b.place, Route(points, 0.25, 0.2, 8, 4, far_glances=0.0))
 
 
-def _room(b: Builder, x: float, height_m: float, paint: materials.Material) -> None:
+def _room(b: Builder, x: float, height_m: float, paint: Material) -> None:
     corners = [(-x, -x), (x, -x), (x, x), (-x, x)]
     for k, name in enumerate(("north", "east", "south", "west")):
         b.wall(name, corners[k], corners[(k + 1) % 4], 0, height_m, paint, texel=2.0)

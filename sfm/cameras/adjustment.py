@@ -332,6 +332,12 @@ def adjust(bundle: Bundle, cameras: Cameras, priors: CameraPriors, *, rough: boo
     `rough` is for cameras that may be far off: fewer steps with a wider loss, in which all points count alike.
     """
     prior_mean, information = camera_unknowns(priors.mean), prior_information(cameras, priors)
+
+    def cost_of(residual_M2: Array, cameras: Cameras, loss_px: float, variance: float) -> float:
+        deviation = camera_unknowns(cameras) - prior_mean
+        of_residuals = loss_px**2 * np.sum(np.log1p(np.sum(residual_M2**2, axis=1) / loss_px**2))
+        return float(of_residuals + variance * deviation @ (information @ deviation)) / 2
+
     damping, solver = 1e-6, Solver()
     noise, loss_px = np.ones(len(bundle.xyz)), _MIN_LOSS_PX
     steps, widening = (_ROUGH_MAX_STEPS, _ROUGH_LOSS_WIDENING) if rough else (_MAX_STEPS, 1.0)
@@ -344,17 +350,16 @@ def adjust(bundle: Bundle, cameras: Cameras, priors: CameraPriors, *, rough: boo
         loss_px = loss_of(linear.residual)
         wide_px, variance = widening * loss_px, loss_variance(loss_px)
         weight = cauchy_weights(linear.residual, wide_px)
-        deviation = camera_unknowns(cameras) - prior_mean
-        before = _cost(linear.residual, wide_px) + _prior_cost(deviation, information, variance)
+        before = cost_of(linear.residual, cameras, wide_px, variance)
         system = regular_system(bundle, cameras, linear, weight, variance * information)
-        gradient = system.gradient + variance * (information @ deviation)
+        gradient = system.gradient + variance * (information @ (camera_unknowns(cameras) - prior_mean))
         diagonal = system.diagonal()
         for _ in range(_MAX_DAMPINGS):
             step = solver.solve(system, diagonal, damping, -gradient)
             point_step = _point_step(bundle, cameras, linear, weight, system, step)
             moved = with_step(bundle, cameras, step, point_step)
-            cost = _cost((project(*moved) - bundle.observed_px) / noise[bundle.point, None], wide_px)
-            cost += _prior_cost(camera_unknowns(moved[1]) - prior_mean, information, variance)
+            residual = (project(*moved) - bundle.observed_px) / noise[bundle.point, None]
+            cost = cost_of(residual, moved[1], wide_px, variance)
             if np.isfinite(cost) and cost <= before:
                 damping = max(damping / 10, 1e-9)
                 break
@@ -469,11 +474,3 @@ def _point_step(
         np.einsum("mji,mj->mi", linear.by_point, change), bundle.point, len(bundle.xyz)
     )
     return -np.einsum("pij,pj->pi", system.point_inverse, pull)
-
-
-def _prior_cost(deviation: Array, information: csr_array, variance: float) -> float:
-    return variance * float(deviation @ (information @ deviation)) / 2
-
-
-def _cost(residual: Array, loss_px: float) -> float:
-    return float(loss_px**2 / 2 * np.sum(np.log1p(np.sum(residual**2, axis=1) / loss_px**2)))

@@ -45,9 +45,10 @@ _PHONE_COVARIANCE = np.array([[0.05**2, -0.8 * 0.05 * 0.08], [-0.8 * 0.05 * 0.08
 # What a capture states is meant to be right.
 _STATED_SD = np.array([0.005, 0.01])
 _STATED_READOUT_SD_S = 0.001
-_SAME_LENS_SD = np.array([*_STATED_SD, 0.002])
+SAME_LENS_SD = np.array([*_STATED_SD, 0.002])
+"""Of k1, k2 and readout of a lens as another model of its frames has it."""
 # k3, which pairs hardly tell, is left to the adjustment of the model: of a lens that nothing is known of, and others.
-_K3_SD, _KNOWN_K3_SD = 0.4, 0.02
+_K3_SD, KNOWN_K3_SD = 0.4, 0.02
 _READOUT_SD_S = 0.02
 _WEAK_PRIOR = np.diag([0.1**2, 0.2**2, _READOUT_SD_S**2])
 _MAX_PAIRS = 160
@@ -123,19 +124,6 @@ class Calibration:
         with written_aside(path) as partial:
             partial.write_text(json.dumps(content), encoding="utf-8")
 
-    def near(self, lens: int, coefficients_8: Array, readout_s: float) -> "Calibration":
-        """The same with a prior around a lens as adjusted with one model, for further models of its frames."""
-        before = self.lenses[lens]
-        sd = np.minimum(np.sqrt(np.diag(before.prior_covariance)), _SAME_LENS_SD)
-        adjusted = replace(
-            before,
-            prior_coefficients=coefficients_8.tolist(),
-            prior_readout_s=float(readout_s),
-            prior_covariance=np.diag(sd**2).tolist(),
-            prior_k3_sd=min(before.prior_k3_sd, _KNOWN_K3_SD),
-        )
-        return replace(self, lenses=[adjusted if k == lens else other for k, other in enumerate(self.lenses)])
-
     @classmethod
     def load(cls, path: Path) -> "Calibration":
         """What `save` wrote."""
@@ -179,7 +167,7 @@ def prior_lenses(frames: pd.DataFrame, device_of_session: dict[str, str], settin
         distortion = np.asarray(frames["distortion"].iloc[members[0]], float)
         stated[: len(distortion)] = distortion
         covariance = np.diag([*_STATED_SD**2, _READOUT_SD_S**2])
-        coefficients, origin, k3_sd = stated.copy(), CameraOrigin.STATED, _KNOWN_K3_SD
+        coefficients, origin, k3_sd = stated.copy(), CameraOrigin.STATED, KNOWN_K3_SD
         if settings.lens == "stated":
             covariance[:2, :2] = np.eye(2) / EXACT_INFORMATION
             k3_sd = 1 / np.sqrt(EXACT_INFORMATION)
@@ -311,11 +299,16 @@ def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, seed
         wrong, undecided = denied and is_better, denied and not is_better
         readout_is_wrong = _readout_is_denied(prior, weak) and bool(np.median(at_weak) < np.median(at_prior))
         if readout_is_wrong or undecided or (wrong and not is_held):
-            prior = _loosened(prior, distortion=wrong and not is_held, readout=readout_is_wrong)
+            covariance, k3_sd = np.array(prior.prior_covariance), prior.prior_k3_sd
             if undecided:
                 # What leads pairs astray would lead the model, too.
-                prior, is_held = _held(prior), True
-            information = np.linalg.inv(np.array(prior.prior_covariance))
+                covariance[:2, :2], k3_sd, is_held = np.eye(2) / EXACT_INFORMATION, EXACT_INFORMATION**-0.5, True
+            elif wrong and not is_held:
+                covariance[:2, :2], k3_sd = _WEAK_PRIOR[:2, :2], _K3_SD
+            if readout_is_wrong:
+                covariance[2, 2] = _WEAK_PRIOR[2, 2]
+            prior = replace(prior, prior_covariance=covariance.tolist(), prior_k3_sd=k3_sd)
+            information = np.linalg.inv(covariance)
             errors = _errors_px(checked, estimate_lens(fitted, start, information).parameters)
         if wrong and is_held:
             errors = at_weak
@@ -324,7 +317,11 @@ def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, seed
     check |= {"stated_is_undecided": undecided, "stated_readout_is_wrong": readout_is_wrong}
     stays = estimated_px > prior_px
     chosen = estimate_lens(matches, start, EXACT_INFORMATION * np.eye(3) if stays else information)
-    offset = estimate_time_offset(chosen, matches, held_out_P, _rotations_by_vio(matches.frames, frames))
+    rotation, session = poses_of(frames, "vio_cam")[:, :3, :3], frames["session_id"].to_numpy(str)
+    a, b = matches.frames.T
+    vio_a_R_b: Array = np.swapaxes(rotation[a], 1, 2) @ rotation[b]
+    vio_a_R_b[session[a] != session[b]] = np.nan
+    offset = estimate_time_offset(chosen, matches, held_out_P, vio_a_R_b)
     if offset is not None:
         check |= {"stamp_offset_s": offset.offset_s, "stamp_offset_sd_s": offset.sd_s}
         check["time_offset_s"] = offset.offset_s if offset.accepted else 0.0
@@ -377,34 +374,6 @@ def _readout_is_denied(prior: Lens, weak: LensEstimate) -> bool:
         return False
     limit_s = max(_MIN_WRONG_SIGMAS * np.sqrt(weak.covariance[2, 2]), _MIN_WRONG_READOUT_S)
     return bool(abs(weak.parameters[2] - prior.stated_readout_s) > limit_s)
-
-
-def _held(prior: Lens) -> Lens:
-    """A lens whose distortion stays as it is."""
-    covariance = np.array(prior.prior_covariance)
-    covariance[:2, :] = covariance[:, :2] = 0.0
-    covariance[:2, :2] = np.eye(2) / EXACT_INFORMATION
-    return replace(prior, prior_covariance=covariance.tolist(), prior_k3_sd=float(1 / np.sqrt(EXACT_INFORMATION)))
-
-
-def _loosened(prior: Lens, *, distortion: bool, readout: bool) -> Lens:
-    """A lens whose stated distortion, or readout time, is hardly a prior any more."""
-    covariance = np.array(prior.prior_covariance)
-    if distortion:
-        covariance[:2, :2] = _WEAK_PRIOR[:2, :2]
-        prior = replace(prior, prior_k3_sd=_K3_SD)
-    if readout:
-        covariance[2, 2] = _WEAK_PRIOR[2, 2]
-    return replace(prior, prior_covariance=covariance.tolist())
-
-
-def _rotations_by_vio(pairs: Pairs, frames: pd.DataFrame) -> Array:
-    """a_R_b (P, 3, 3) of pairs (P, 2) of frames, NaN where they aren't of one session."""
-    rotation, session = poses_of(frames, "vio_cam")[:, :3, :3], frames["session_id"].to_numpy(str)
-    a, b = pairs.T
-    a_R_b: Array = np.swapaxes(rotation[a], 1, 2) @ rotation[b]
-    a_R_b[session[a] != session[b]] = np.nan
-    return a_R_b
 
 
 def lines_of(frames: pd.DataFrame) -> Array:

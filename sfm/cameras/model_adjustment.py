@@ -23,7 +23,7 @@ from groundwalk.sfm.cameras.adjustment import (
     marginal_readout,
     project,
 )
-from groundwalk.sfm.cameras.calibration import Calibration, Lens, lines_of, prior_lenses
+from groundwalk.sfm.cameras.calibration import KNOWN_K3_SD, SAME_LENS_SD, Calibration, Lens, lines_of, prior_lenses
 from groundwalk.sfm.cameras.motion import Motion, motion_by_vio
 from groundwalk.sfm.database import Ints, image_id, pose_of
 from groundwalk.sfm.settings import SfmSettings
@@ -146,10 +146,18 @@ def _deregister_undetermined(model: pycolmap.Reconstruction) -> bool:
 
 def with_lenses_of(log: CameraLog, adjusted: Adjusted, rows: Ints) -> CameraLog:
     """The log with the lenses of an adjusted model, whose frames are `rows` (R,), as a prior for further models."""
-    calibration, cameras = log.calibration, adjusted.cameras
-    for number, lens in enumerate(np.unique(calibration.lens[rows]).tolist()):
-        calibration = calibration.near(lens, cameras.coefficients[number], cameras.readout_s[number])
-    return replace(log, calibration=calibration)
+    lenses, cameras = list(log.calibration.lenses), adjusted.cameras
+    for number, index in enumerate(np.unique(log.calibration.lens[rows]).tolist()):
+        lens = lenses[index]
+        sd = np.minimum(np.sqrt(np.diag(lens.prior_covariance)), SAME_LENS_SD)
+        lenses[index] = replace(
+            lens,
+            prior_coefficients=cameras.coefficients[number].tolist(),
+            prior_readout_s=float(cameras.readout_s[number]),
+            prior_covariance=np.diag(sd**2).tolist(),
+            prior_k3_sd=min(lens.prior_k3_sd, KNOWN_K3_SD),
+        )
+    return replace(log, calibration=replace(log.calibration, lenses=lenses))
 
 
 def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cameras:

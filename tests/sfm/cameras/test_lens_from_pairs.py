@@ -1,5 +1,7 @@
 """Lens and readout time from pairs of images: matches of made-up cameras through known lenses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,7 +11,7 @@ from groundwalk.geometry.lens import distort, rational_of_fisheye
 from groundwalk.geometry.poses import Array, make_pose, relative
 from groundwalk.sfm.cameras import calibration
 from groundwalk.sfm.cameras.calibration import Lens, estimated_lens, lenses_of, prior_lenses
-from groundwalk.sfm.cameras.lens_from_pairs import PairMatches, estimate_lens, sampson_of
+from groundwalk.sfm.cameras.lens_from_pairs import EXACT_INFORMATION, PairMatches, estimate_lens, sampson_of
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import CameraOrigin
 
@@ -58,6 +60,56 @@ def test_k1_and_k2_are_estimated_beside_the_coefficients_that_stay(name: str) ->
     sd = np.sqrt(np.diag(estimate.covariance))
     assert (sd[:2] < 0.02).all()
     assert (np.abs(estimate.parameters[:2] - lens[:2]) < 4 * sd[:2]).all()
+
+
+def test_poses_converge_with_a_lens_that_is_held() -> None:
+    """They move on while the lens has come to rest from the first step on."""
+    matches = _matches(_LENSES["k3"], 0, 0.6)
+    off = Rotation.from_rotvec(np.random.default_rng(1).normal(0, 0.9, (_PAIRS, 3))).as_matrix()
+    start = matches.a_T_b.copy()
+    start[:, :3] = off @ start[:, :3]
+    held = estimate_lens(
+        replace(matches, a_T_b=start), np.array([*_LENSES["k3"][:2], 0.0]), EXACT_INFORMATION * np.eye(3)
+    )
+    residual = sampson_of(matches, held.a_T_b, held.parameters)
+    medians = pd.Series(np.abs(residual)).groupby(matches.pair).median()
+    assert np.mean(medians < _NOISE_PX) > 0.9
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_round_an_object_features_that_slide_with_the_view_deny_no_stated_lens(seed: int) -> None:
+    """Each pair can be fitted a little better by another lens, as its errors are its own."""
+    rng, lens = np.random.default_rng(seed), np.array([0.008, 0, -0.004, -0.016, 0, 0, 0, 0])
+    around = np.linspace(0, 2 * np.pi, 2 * _PAIRS, endpoint=False)
+    pose = np.tile(np.eye(4), (len(around), 1, 1))
+    pose[:, :3, :3] = Rotation.from_euler("y", around[:, None]).as_matrix()
+    pose[:, :3, 3] = -4 * pose[:, :3, 2]
+    ends = np.array([(k, (k + rng.integers(1, 6)) % len(around)) for k in range(0, len(around), 2)])
+    direction = rng.normal(size=(_PAIRS, _POINTS, 3)) * [1, 1.6, 1]
+    xyz = direction / np.linalg.norm(direction, axis=2, keepdims=True) * rng.uniform(0.6, 1.2, (_PAIRS, _POINTS, 1))
+    seen, ahead = [], []
+    for side in (0, 1):
+        T = pose[ends[:, side]]
+        p = np.einsum("pji,pmj->pmi", T[:, :3, :3], xyz - T[:, None, :3, 3])
+        slide_px = rng.normal(0, 0.5, (_PAIRS, 2, 3))
+        shift = np.einsum("pij,pmj->pmi", slide_px, xyz)
+        noise = rng.normal(0, _NOISE_PX, shift.shape)
+        seen.append(
+            distort((p[..., :2] / p[..., 2:]).reshape(-1, 2), lens) + (shift + noise).reshape(-1, 2) / _FOCAL_PX
+        )
+        ahead.append(p[..., 2].ravel() < 4)
+    both = ahead[0] & ahead[1]
+    pair, a_T_b = np.repeat(np.arange(_PAIRS), _POINTS)[both], relative(pose[ends[:, 0]], pose[ends[:, 1]])
+    a_T_b[:, :3, 3] /= np.linalg.norm(a_T_b[:, :3, 3], axis=1, keepdims=True)
+    rows, focal_px = np.zeros((len(pair), 2)), np.full((len(pair), 2), _FOCAL_PX)
+    twist = np.zeros((_PAIRS, 2, 6))
+    matches = PairMatches(pair, np.stack(seen, axis=1)[both], rows, focal_px, a_T_b, twist, ends, lens[2:])
+    frames = _frames((0.0, 0.0), len(around))
+    frames["distortion"] = pd.Series([lens[:4].tolist()] * len(around))
+    prior = prior_lenses(frames, {"walk": "phone"}, SfmSettings()).lenses[0]
+    kept = estimated_lens(prior, matches, frames, seed)
+    assert not kept.stated_is_wrong
+    assert np.allclose(kept.coefficients[:2], lens[:2], atol=0.02)
 
 
 @pytest.mark.parametrize("stated", [(-0.6, 0.0), (-0.3, -0.4), (0.3, -1.0)])
