@@ -168,8 +168,7 @@ bench-real: $(installed) #! Real captures beside stock COLMAP (docs/results); ca
 bench-cameras: $(installed) #! Simulated phones whose lens, shutter and focus are unknown (docs/results); hours
 	@$(py) -m benchmarks.phone_cameras
 
-bench-import: $(installed) #! Import: speed, memory, figures of each format
-	@$(py) -m benchmarks.import_throughput
+bench-import: $(installed) #! Import: how clearly mistakes are told apart in each format, and what blurring finds
 	@$(py) -m benchmarks.import_formats $(if $(wildcard ../shared),--captures ../shared/captures --trajectories ../shared/trajectories)
 	@$(py) -m benchmarks.import_blurring $(if $(wildcard ../shared),--captures ../shared/captures)
 

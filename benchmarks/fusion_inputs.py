@@ -16,13 +16,14 @@ from scipy.spatial.transform import Rotation
 from benchmarks.pose_walks import pose_walks
 from benchmarks.regressor_errors.model import apr_seeds, read_apr_models, simulate_apr
 from groundwalk.capture_import.capture import Limits
-from groundwalk.capture_import.checks.health import find_jumps, gravity_of
+from groundwalk.capture_import.checks.jumps import find_jumps
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.splits import split_frames
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, learnt
 from groundwalk.fusion.files.walks import evaluated
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.walk import Walk, known
+from groundwalk.geometry.gravity import gravity_in_camera
 from groundwalk.geometry.poses import Array, heading, interpolate, inverse, make_pose, yaw_rotation
 from groundwalk.scoring.errors import step_lengths
 from groundwalk.simulation.vio import FITTED, VioModel, simulate_vio, start_frame
@@ -305,10 +306,10 @@ def _recordings(folder: Path) -> dict[Path, tuple[str, NDArray[np.int64], Array]
     """Name, t_ns (N,) and vio_T_cam (N, 4, 4) of each recording that import can read, by its file or folder."""
     recordings = {}
     for path in sorted([folder, *folder.rglob("*")]):
-        form = next((f for f in FORMATS.values() if f.detect(path)), None)
+        form = next((f for f in FORMATS.values() if f.fits(path)), None)
         if form is None:
             continue
-        session = form.read(path, path.stem, Limits())
+        session = form.read(path, Limits())
         posed = [(f.t_ns, f.vio_T_cam) for f in session.frames if f.vio_T_cam is not None]
         t_ns, first = np.unique([t for t, _ in posed], return_index=True)
         recordings[path] = (f"{form.id}/{path.stem}", t_ns.astype(np.int64), np.array([posed[i][1] for i in first]))
@@ -408,7 +409,7 @@ def predicted_walk(scene: str, track: Track, map_T_cam_apr: Array) -> Walk:
     count = len(track.t_ns)
     gravity = np.full((count, 3), np.nan)
     there = known(track.vio_T_cam)
-    gravity[there] = gravity_of(track.vio_T_cam[there])
+    gravity[there] = gravity_in_camera(track.vio_T_cam[there])
     frame_id = np.array([f"{track.name}/{i:06d}" for i in range(count)], dtype=object)
     return Walk(
         scene, track.name, "test", frame_id, track.t_ns, gravity, track.vio_T_cam, map_T_cam_apr, track.map_T_cam

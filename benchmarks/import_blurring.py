@@ -89,8 +89,8 @@ def main(
         seconds = (time.process_time() - start) / len(paths)
         false = {kind: sum(r.kind == kind for rs in regions for r in rs) for kind in ("face", "plate")}
         print(
-            f"| {recording.session_id} | {len(paths)} | {sum(map(bool, regions))} | {false['face']} | {false['plate']} "
-            f"| {seconds:.1f} |",
+            f"| {recording.recording_id} | {len(paths)} | {sum(map(bool, regions))} | {false['face']} "
+            f"| {false['plate']} | {seconds:.1f} |",
             flush=True,
         )
 

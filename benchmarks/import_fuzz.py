@@ -21,13 +21,10 @@ except ImportError:
     error = UserError("atheris isn't installed", do=".venv/bin/pip install -e '.[fuzz]'  (Linux, Python 3.11 or later)")
     raise SystemExit(f"error: {error}") from None
 
-with atheris.instrument_imports(include=["capture_import"]):
-    import benchmarks.import_captures  # noqa: F401  (puts the tests' writers on the path)
+with atheris.instrument_imports(include=["groundwalk.capture_import"]):
     from groundwalk.capture_import.formats import FORMATS
-
-    # isort: split
     from tests.capture_import.capture_writers import WRITERS, make_walk
-    from tests.capture_import.test_mutations import no_longer_than, take_all
+    from tests.capture_import.test_mutations import no_longer_than, read_all
 
 FOUND = Path("build/fuzz")
 
@@ -62,7 +59,7 @@ class Target:
         shutil.copytree(root, self._work / "place")
         (self._work / "place" / name).write_bytes(data[1:])
         with no_longer_than(20, name):
-            self.imported += take_all(self._work / "place", self._work / "unpacked")
+            self.imported += read_all(self._work / "place", self._work / "unpacked")
         self.runs += 1
 
 

@@ -4,10 +4,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import benchmarks.import_captures  # noqa: F401  (puts the tests' writers on the path)
 from groundwalk.geometry.poses import Array, make_pose
-
-# isort: split
 from tests.capture_import.capture_writers import Walk
 
 RATE_HZ = 10.0

@@ -1,12 +1,15 @@
-"""What a format's reader returns: a session of logged instants, in one convention whatever the app that wrote it.
+"""What a capture consists of: its recordings as formats read them, and the sessions that checks leave of them.
 
-Every reader turns its poses into ours: ``vio_T_cam`` takes OpenCV camera axes (x right, y down, z forward) to a metric
+Every format turns its poses into ours: ``vio_T_cam`` takes OpenCV camera axes (x right, y down, z forward) to a metric
 world whose +y is up. What a row of the log can't be read from is a `Reject`, never a silent gap.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import Clock, ImageSide, PoseSource, Rejected, SessionSplit, Tracking, UpSource
@@ -38,9 +41,6 @@ class VideoFrame:
 
     path: Path
     index: int
-
-
-ImageRef = ImageFile | VideoFrame
 
 
 @dataclass(frozen=True)
@@ -98,32 +98,31 @@ class RawFrame:
     source: str
     t_ns: int
     vio_T_cam: Array | None
-    image: ImageRef | None = None
+    image: ImageFile | VideoFrame | None = None
     intrinsics: Intrinsics | None = None
     tracking: Tracking = Tracking.UNKNOWN
     exposure_s: float | None = None
     depth: DepthFile | None = None
     split: SessionSplit | None = None
 
-    @property
-    def content(self) -> Rejected:
-        """What is lost where the row is rejected."""
-        return Rejected.POSE if self.image is None else Rejected.IMAGE
-
 
 @dataclass(frozen=True)
 class Reject:
     """A row or file that is excluded, and why; `rejected` is what is lost by it, None for a row that can't be read."""
 
-    session_id: str
     source: str
     t_ns: int | None
     reason: str
     rejected: Rejected | None = None
 
+    @classmethod
+    def of(cls, frame: RawFrame, reason: str) -> "Reject":
+        """Of a row that could be read."""
+        return cls(frame.source, frame.t_ns, reason, Rejected.POSE if frame.image is None else Rejected.IMAGE)
+
 
 @dataclass(frozen=True)
-class RawSession:
+class Recording:
     """One recording, in the order of its log.
 
     `pose_source`: the phone's odometry, or a reference from elsewhere, as in public data sets, which must never pass
@@ -131,11 +130,11 @@ class RawSession:
     `STATED` where the capture itself does, and import tests the rest (`checks/gravity.py`). `is_metric` is False where
     a reference states no unit. `split` is what a public data set states that the recording is for. `first_row` is the
     side of the images that the sensor reads out first, `readout_s` the time from there to the last row, where the
-    capture states them.
+    capture states them. `has_intrinsics` is False where it states no intrinsics: those of the frames are a
+    guess, whose focal length import corrects by the poses. `recording_id` and `format` are set by whoever calls a
+    format's `read`.
     """
 
-    session_id: str
-    format: str
     device: str
     clock: Clock
     folder: Path
@@ -148,4 +147,108 @@ class RawSession:
     split: SessionSplit | None = None
     first_row: ImageSide | None = None
     readout_s: float | None = None
+    has_intrinsics: bool = True
     notes: Sequence[str] = field(default_factory=tuple)
+    recording_id: str = ""
+    format: str = ""
+
+
+@dataclass(frozen=True)
+class ImageCheck:
+    """Size, sharpness, contrast (standard deviation of grey levels, of 255) and hashes of an image: of its file, and of
+    that without metadata. A video's frame has no hash."""
+
+    width: int
+    height: int
+    sharpness: float
+    contrast: float
+    sha256: str
+    content_sha256: str
+
+
+@dataclass(frozen=True)
+class Image:
+    """A sound image: its row of the log, with a pose and intrinsics, and what was measured of it."""
+
+    frame: RawFrame
+    check: ImageCheck
+
+    @property
+    def camera(self) -> Intrinsics:
+        """Its intrinsics, which no sound image lacks."""
+        assert self.frame.intrinsics is not None
+        return self.frame.intrinsics
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A step of the odometry from pose `index - 1` to `index` that its surroundings don't explain; `splits`: so large
+    that the session ends there."""
+
+    index: int
+    t_ns: int
+    dt_s: float
+    jump_m: float
+    jump_deg: float
+    splits: bool
+
+
+@dataclass(frozen=True)
+class Session:
+    """A recording, or the part of one between two large jumps of its odometry.
+
+    `frames` are all rows with a sound pose, in time order; `images` those of them with a sound image; `rejects` the
+    other rows and images of the recording that fall into it.
+    """
+
+    session_id: str
+    recording: Recording
+    frames: list[RawFrame]
+    images: list[Image]
+    jumps: list[Jump]
+    rejects: list[Reject]
+
+    def frame_id(self, number: int) -> str:
+        """The id of its frame with this number in the log."""
+        return f"{self.session_id}/{number:06d}"
+
+    @property
+    def t_ns(self) -> NDArray[np.int64]:
+        """Times (N,) of its frames."""
+        return np.array([frame.t_ns for frame in self.frames], dtype=np.int64)
+
+    @property
+    def poses(self) -> Array:
+        """Poses (N, 4, 4) of its frames."""
+        return poses_of(self.frames)
+
+    @property
+    def has_vio(self) -> bool:
+        """Whether its poses are the phone's odometry."""
+        return self.recording.pose_source == PoseSource.VIO
+
+
+@dataclass(frozen=True)
+class PlacedImage:
+    """An image's `frames.image` entry, the hash of its file, and how many faces and plates were made unrecognisable in
+    it; None without a detector."""
+
+    entry: str
+    sha256: str
+    faces: int | None = None
+    plates: int | None = None
+
+
+@dataclass(frozen=True)
+class PlacedDepth:
+    """A frame's entries `depth` and `depth_confidence` in import.frames, and the hash of the first one's file; None
+    where there is none."""
+
+    entry: str | None = None
+    confidence: str | None = None
+    sha256: str | None = None
+
+
+def poses_of(frames: Iterable[RawFrame]) -> Array:
+    """Poses (N, 4, 4) of rows that have one."""
+    return np.array([frame.vio_T_cam for frame in frames], dtype=float).reshape(-1, 4, 4)

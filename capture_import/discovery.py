@@ -1,19 +1,21 @@
-"""Finding the recordings in a capture folder."""
+"""Finding the recordings in a capture folder, and reading one."""
 
 import hashlib
 import os
+import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
+from groundwalk.capture_import.capture import ImageFile, Limits, RawFrame, Recording, Reject
 from groundwalk.capture_import.formats import FORMATS, Format
-from groundwalk.capture_import.image_files import in_order, is_image
+from groundwalk.capture_import.image_files import images_in, in_order, is_image
 from groundwalk.capture_import.media.archive import SUFFIXES, unpack
+from groundwalk.capture_import.refusal import no_capture
 from groundwalk.store import UserError, progress
-from groundwalk.store.choices import PoseSource
+from groundwalk.store.choices import PoseSource, Rejected
 from groundwalk.store.hints import setting_of
 from groundwalk.store.registry import PluginError
 from groundwalk.store.text import name_list, natural_order
@@ -22,6 +24,8 @@ _MAX_DEPTH = 5
 _MAX_ID_BYTES = 120
 # The simulator's truth is for checks alone; import never opens it.
 _IGNORED = {"true_poses.parquet", "true_cameras.parquet", "SIMULATED.json", "LICENSE", "README.md", "__MACOSX"}
+# Depth beside images of the same folder: 3D Scanner App's, NeRFCapture's and 7-Scenes'.
+_DEPTH = re.compile(r"(depth|conf)_\d{1,9}\.png|.*\.depth\.png")
 
 
 @dataclass(frozen=True)
@@ -30,18 +34,60 @@ class RecordingSource:
 
     path: Path
     format: Format
-    session_id: str
+    recording_id: str
     notes: tuple[str, ...] = ()
 
-    def read(self, limits: Limits) -> RawSession:
-        """The recording's rows; UserError where it can't be read as a whole."""
+    def read(self, limits: Limits) -> Recording:
+        """The recording's rows; UserError where it can't be read as a whole, or no row can."""
         try:
             with FORMATS.guard(self.format.id):
-                raw = self.format.read(self.path, self.session_id, limits)
+                raw = self.format.read(self.path, limits)
                 _check(raw)
-                return replace(raw, notes=[*self.notes, *raw.notes])
         except OSError as error:
             raise _unreadable(self.path, error) from None
+        if not raw.frames:
+            raise UserError(
+                "no frame of this recording can be read",
+                where=self.path,
+                expected=f"{self.format.label}: {self.format.recognised_by}",
+                found=f"{raw.rejects[0].source}: {raw.rejects[0].reason}" if raw.rejects else "no rows",
+            )
+        notes = (*self.notes, *raw.notes, *_notes_on_sizes(raw))
+        rejects = [*raw.rejects, *_images_without_a_row(raw)]
+        return replace(raw, recording_id=self.recording_id, format=self.format.id, notes=notes, rejects=rejects)
+
+
+def _check(raw: Recording) -> None:
+    """TypeError or ValueError where a reader returned something else than import's checks expect."""
+    if not isinstance(raw, Recording):
+        raise TypeError(f"read returned a {type(raw).__name__}, not a Recording")
+    if raw.pose_source == PoseSource.VIO and not raw.clock.has_times:
+        raise ValueError(f"the recording's poses are VIO on the clock {raw.clock}, which has no times")
+    for frame in raw.frames:
+        if not isinstance(frame, RawFrame):
+            raise TypeError(f"read returned a {type(frame).__name__} among its frames, not a RawFrame")
+        if frame.vio_T_cam is not None and np.shape(frame.vio_T_cam) != (4, 4):
+            raise ValueError(f"{frame.source}: vio_T_cam has shape {np.shape(frame.vio_T_cam)}, not (4, 4)")
+
+
+def _images_without_a_row(raw: Recording) -> list[Reject]:
+    """The image files beside those of a recording that none of its rows names."""
+    named = {frame.image.path for frame in raw.frames if isinstance(frame.image, ImageFile)}
+    depths = {file for f in raw.frames if f.depth for file in (f.depth.path, f.depth.confidence)}
+    told = {re.split(r"[/ ]", reject.source)[-1] for reject in raw.rejects}
+    rejects = []
+    for image in (image for folder in in_order({path.parent for path in named}) for image in images_in(folder)):
+        source = image.relative_to(raw.folder).as_posix() if image.is_relative_to(raw.folder) else image.name
+        if image not in named and image not in depths and not _DEPTH.fullmatch(image.name) and image.name not in told:
+            rejects.append(Reject(source, None, "no row of the log that can be read names this image", Rejected.IMAGE))
+    return rejects
+
+
+def _notes_on_sizes(raw: Recording) -> list[str]:
+    """A note on images whose size their log doesn't state, so that nothing shows images that were scaled."""
+    cameras = [frame.intrinsics for frame in raw.frames if isinstance(frame.image, ImageFile)]
+    count = sum(camera is not None and camera.width is None for camera in cameras)
+    return [f"the log states no size of {count} images: their intrinsics are taken for the files' own"] if count else []
 
 
 @dataclass(frozen=True)
@@ -70,14 +116,7 @@ def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str
     except OSError as error:
         raise _unreadable(root, error) from None
     if not hits:
-        looked_for = "\n".join(f"            {f.label}: {f.looks_for}" for f in search.formats)
-        raise UserError(
-            "no capture in a known format" if chosen is None else f"no capture in the format {chosen.id}",
-            where=root,
-            found=search.others() or _content(root),
-            expected="one of\n" + looked_for,
-            do="see docs/reference/capture-formats.md; any app can write groundwalk's frames.jsonl",
-        )
+        raise no_capture(root, search.formats, chosen, search.others())
     names = [_plain((hit.parts or (root.stem if root.is_file() else root.name,))[-1]) for hit in hits]
     counts = Counter(names)
     sources = []
@@ -87,7 +126,7 @@ def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str
     if others := search.others():
         note = f"not read, as {setting_of('import', 'format')} (--format of `inspect`) is {format_name}: {others}"
         sources[0] = replace(sources[0], notes=(*sources[0].notes, note))
-    return sorted(sources, key=lambda f: natural_order(f.session_id))
+    return sorted(sources, key=lambda f: natural_order(f.recording_id))
 
 
 def _unreadable(path: Path, error: OSError) -> UserError:
@@ -97,21 +136,6 @@ def _unreadable(path: Path, error: OSError) -> UserError:
         found=error.strerror,
         do="look at its permissions" if isinstance(error, PermissionError) else None,
     )
-
-
-def _check(raw: RawSession) -> None:
-    """TypeError or ValueError where a reader returned something else than import's checks expect."""
-    if not isinstance(raw, RawSession):
-        raise TypeError(f"read returned a {type(raw).__name__}, not a RawSession")
-    if raw.format not in FORMATS:
-        raise ValueError(f"the session's format is {raw.format!r}, which is no format's id")
-    if raw.pose_source == PoseSource.VIO and not raw.clock.has_times:
-        raise ValueError(f"the session's poses are VIO on the clock {raw.clock}, which has no times")
-    for frame in raw.frames:
-        if not isinstance(frame, RawFrame):
-            raise TypeError(f"read returned a {type(frame).__name__} among its frames, not a RawFrame")
-        if frame.vio_T_cam is not None and np.shape(frame.vio_T_cam) != (4, 4):
-            raise ValueError(f"{frame.source}: vio_T_cam has shape {np.shape(frame.vio_T_cam)}, not (4, 4)")
 
 
 @dataclass(frozen=True)
@@ -168,7 +192,7 @@ class _Search:
             return False
         try:
             with FORMATS.guard(format.id):
-                return format.detect(path)
+                return format.fits(path)
         except PluginError as error:
             self.failed.add(format.id)
             progress.console.print(f"warning: {error}")
@@ -229,10 +253,3 @@ def _plain(name: str) -> str:
         return plain
     digest = hashlib.sha256(name.encode(errors="surrogateescape")).hexdigest()[:8]
     return f"{plain.encode()[: _MAX_ID_BYTES - 9].decode(errors='ignore')}-{digest}"
-
-
-def _content(root: Path) -> str:
-    if not root.is_dir():
-        return "a file of an unknown kind"
-    names = sorted(os.fsencode(p.name).decode("utf-8", "replace") for p in root.iterdir())
-    return name_list(names, 8)

@@ -5,20 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundwalk.capture_import.capture import RawFrame
-from groundwalk.capture_import.intake import Image, ImportedSession
+from groundwalk.capture_import.capture import Image, RawFrame, Session
 from groundwalk.geometry.poses import Array, make_pose
-from groundwalk.store.choices import PoseSource
 
 # What reads positions as float32 (recordings, networks, other tools) sees steps of 6e-8 of their distance from the
 # origin: of 6e-5 of the extent where that is so many times as far.
 _MAX_DISTANCE_EXTENTS = 1e3
 
 
-def far_origin(sessions: Sequence[ImportedSession]) -> Array | None:
+def far_origin(sessions: Sequence[Session]) -> Array | None:
     """The origin (3,) to take off the positions of all references, in their unit and axes; None where these are near
     enough to theirs. Round to a power of ten of about the extent."""
-    positions = [s.poses[:, :3, 3] for s in sessions if s.frames and s.recording.pose_source == PoseSource.REFERENCE]
+    positions = [s.poses[:, :3, 3] for s in sessions if s.frames and not s.has_vio]
     if not positions:
         return None
     xyz = np.concatenate(positions)
@@ -29,14 +27,14 @@ def far_origin(sessions: Sequence[ImportedSession]) -> Array | None:
     return step * np.round(middle / step)
 
 
-def moved(session: ImportedSession, origin: Array) -> ImportedSession:
+def moved(session: Session, origin: Array) -> Session:
     """The session with poses from another origin, where they are a reference."""
-    if session.recording.pose_source != PoseSource.REFERENCE:
+    if session.has_vio:
         return session
 
     def of(frame: RawFrame) -> RawFrame:
         pose = frame.vio_T_cam
-        assert pose is not None  # intake drops rows without
+        assert pose is not None  # a session has no rows without
         return replace(frame, vio_T_cam=make_pose(pose[:3, :3], pose[:3, 3] - origin))
 
     images = [Image(of(image.frame), image.check) for image in session.images]

@@ -1,4 +1,4 @@
-"""Typed reading of unchecked logs: numbers, matrices and JSON, with one exception for what is wrong."""
+"""Typed reading of unchecked logs: lines, JSON, numbers, poses and paths, with one exception for what is wrong."""
 
 import functools
 import json
@@ -20,8 +20,11 @@ from groundwalk.store.files import leads_outside
 
 Row = TypeVar("Row")
 
+# A world with +z up, seen with +y up.
+YUP_T_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 MAX_NS = 2**62  # so that times can be subtracted
 _MAX_LINE = 1 << 20
+_MAX_SMALL_FILE = 1 << 20
 _FISHEYE_TOLERANCE_PX = 0.05
 
 
@@ -29,7 +32,20 @@ class BadRow(ValueError):
     """A row or file of a log that can't be read; the message says why, short enough for a rejects table."""
 
 
-def read_text(path: Path, max_bytes: int) -> str:
+def read_rows(
+    rows: Iterable[tuple[str, Row]], read: Callable[[int, str, Row], RawFrame]
+) -> tuple[list[RawFrame], list[Reject]]:
+    """Read each row, named by its source, by `read(number, source, row)`; a row that raises BadRow becomes a reject."""
+    frames, rejects = [], []
+    for number, (source, row) in enumerate(rows):
+        try:
+            frames.append(read(number, source, row))
+        except BadRow as error:
+            rejects.append(Reject(source, None, str(error)))
+    return frames, rejects
+
+
+def read_text(path: Path, max_bytes: int = _MAX_SMALL_FILE) -> str:
     """A text file in UTF-8; BadRow where it's missing, unreadable, larger than the limit or not UTF-8."""
     try:
         _refuse_odd_file(path, max_bytes)
@@ -51,131 +67,9 @@ def first_bytes(path: Path, count: int = 1 << 16) -> bytes:
         return b""
 
 
-def _refuse_odd_file(path: Path, max_bytes: int) -> None:
-    status = path.stat()
-    if not stat.S_ISREG(status.st_mode):
-        raise BadRow("no ordinary file")
-    if status.st_size > max_bytes:
-        raise BadRow(f"file has {status.st_size} bytes, more than the limit of {max_bytes}")
-
-
-def parse_json(text: str) -> dict[str, Any]:
-    """A JSON object; BadRow where the text isn't one."""
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        reason = str(error).split("\n")[0][:80] or "nested too deep"
-        raise BadRow(f"file isn't JSON: {reason}") from None
-    if not isinstance(content, dict):
-        raise BadRow("JSON holds no object")
-    return content
-
-
-def number(row: Mapping[str, Any], key: str) -> float:
-    """The number under a key (it may be NaN or infinite); BadRow where it's missing or no number."""
-    return to_number(_get(row, key), key)
-
-
-@functools.lru_cache(maxsize=256)  # the fit takes milliseconds, and the frames of a capture mostly share a camera
-def fisheye_intrinsics(
-    fx_fy_cx_cy: tuple[float, ...], width: int, height: int, fisheye: tuple[float, ...]
-) -> Intrinsics:
-    """Intrinsics whose distortion (OpenCV's coefficients) is that of a fisheye lens with k1 to k4, within the image;
-    BadRow where no such coefficients describe it."""
-    fx, fy, cx, cy = fx_fy_cx_cy
-    if not np.isfinite([*fx_fy_cx_cy, *fisheye]).all() or min(fx, fy) <= 0:
-        raise BadRow("intrinsics have a value that isn't finite, or a focal length that isn't positive")
-    radius = math.hypot(max(cx, width - cx) / fx, max(cy, height - cy) / fy)
-    try:
-        distortion = rational_of_fisheye(fisheye, radius, _FISHEYE_TOLERANCE_PX / max(fx, fy))
-    except GeometryError as error:
-        raise BadRow(str(error)) from None
-    return Intrinsics(fx, fy, cx, cy, width, height, tuple(distortion.tolist()))
-
-
-def whole(row: Mapping[str, Any], key: str) -> int:
-    """The whole number under a key; BadRow where it's missing or none."""
-    value = number(row, key)
-    if not math.isfinite(value) or value != int(value):
-        raise BadRow(f"{key} {value} is no whole number")
-    return int(value)
-
-
-def optional_size(row: Mapping[str, Any], width: str, height: str) -> tuple[int | None, int | None]:
-    """The whole numbers under these keys, None where a log has neither: the image's own size holds then."""
-    return (whole(row, width), whole(row, height)) if width in row or height in row else (None, None)
-
-
-def optional_number(row: Mapping[str, Any], key: str) -> float | None:
-    """The finite number under a key, or None where there is none."""
-    try:
-        value = number(row, key)
-    except BadRow:
-        return None
-    return value if math.isfinite(value) else None
-
-
-def to_number(value: Any, name: str) -> float:
-    """`value`, a number or its text, as a float; BadRow otherwise."""
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise BadRow(f"{name} is no number")
-    try:
-        return float(value)
-    except (ValueError, OverflowError):
-        raise BadRow(f"{name} is no number") from None
-
-
-def numbers(row: Mapping[str, Any], key: str, count: int) -> Array:
-    """The list of `count` numbers under a key, nested lists flattened in row order; BadRow otherwise."""
-    flat = list(_flatten(_get(row, key), key))
-    if len(flat) != count:
-        raise BadRow(f"{key} has {len(flat)} numbers, not {count}")
-    return np.array([to_number(v, key) for v in flat])
-
-
-def seconds_to_ns(seconds: float, name: str = "time") -> int:
-    """Seconds as int64 nanoseconds; BadRow where they aren't finite or don't fit."""
-    ns = seconds * 1e9
-    if not math.isfinite(ns) or abs(ns) > MAX_NS:
-        raise BadRow(f"{name} {seconds} is no time")
-    return round(ns)
-
-
-def split_numbers(line: str, separator: str | None = None) -> list[float]:
-    """The numbers of a line of text; BadRow where one isn't a number."""
-    return [to_number(part.strip(), "value") for part in line.split(separator)]
-
-
-def collect(
-    rows: Iterable[tuple[str, Row]], session_id: str, read: Callable[[str, Row], RawFrame]
-) -> tuple[list[RawFrame], list[Reject]]:
-    """Read the (source, row) pairs of a log; rows that can't be read become rejects."""
-    frames, rejects = [], []
-    for source, row in rows:
-        try:
-            frames.append(read(source, row))
-        except BadRow as error:
-            rejects.append(Reject(session_id, source, None, str(error)))
-    return frames, rejects
-
-
-def refuse_unreadable(path: Path, frames: Sequence[RawFrame], rejects: Sequence[Reject], expected: str) -> None:
-    """UserError where no row of a recording could be read."""
-    if not frames:
-        raise UserError(
-            "no frame of this recording can be read",
-            where=path,
-            expected=expected,
-            found=f"{rejects[0].source}: {rejects[0].reason}" if rejects else "no rows",
-        )
-
-
-def lines_of(path: Path, limits: Limits, is_row: Callable[[str], bool] = bool) -> list[tuple[str, str]]:
-    """The lines of a text log for which `is_row` holds, as (source, line), without empty lines and comments.
-
-    The log is read line by line, so that other lines take no memory. UserError where it can't be read, or where
-    it goes beyond the limits.
-    """
+def lines_of(path: Path, limits: Limits, is_row: Callable[[str], bool] = lambda line: True) -> list[tuple[str, str]]:
+    """(source, line) of the lines of a text file that are rows: neither empty nor comments, and `is_row`; UserError as
+    `numbered_lines`, or where they are more than the limits."""
     rows: list[tuple[str, str]] = []
     size = 0
     for number, line in numbered_lines(path, limits):
@@ -184,8 +78,8 @@ def lines_of(path: Path, limits: Limits, is_row: Callable[[str], bool] = bool) -
         rows.append((f"{path.name} line {number}", line))
         size += sys.getsizeof(line)
         if len(rows) > limits.max_rows or size > limits.max_parsed_bytes:
-            actual = f"more than {limits.max_rows} rows, or {limits.max_parsed_bytes >> 20} MiB of them"
-            raise _unreadable(path, actual)
+            found = f"more than {limits.max_rows} rows, or {limits.max_parsed_bytes >> 20} MiB of them"
+            raise _unreadable(path, found)
     return rows
 
 
@@ -229,8 +123,94 @@ def parsed_bytes(text: str) -> int:
     return sys.getsizeof(text) + len(text) + sum(size * text.count(character) for character, size in sizes.items())
 
 
-def _unreadable(path: Path, actual: object) -> UserError:
-    return UserError("a log can't be read", where=path, found=actual)
+def parse_json(text: str) -> dict[str, Any]:
+    """A JSON object; BadRow where the text isn't one."""
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        reason = str(error).split("\n")[0][:80] or "nested too deep"
+        raise BadRow(f"file isn't JSON: {reason}") from None
+    if not isinstance(content, dict):
+        raise BadRow("JSON holds no object")
+    return content
+
+
+def number(row: Any, key: str) -> float:
+    """The number under a key of an object (it may be NaN or infinite); BadRow where it's missing or no number."""
+    return to_number(_get(row, key), key)
+
+
+def whole(row: Any, key: str) -> int:
+    """The whole number under a key; BadRow where it's missing or none."""
+    value = number(row, key)
+    if not math.isfinite(value) or value != int(value):
+        raise BadRow(f"{key} {value} is no whole number")
+    return int(value)
+
+
+def optional_size(row: Mapping[str, Any], width: str, height: str) -> tuple[int | None, int | None]:
+    """The whole numbers under these keys, None where a log has neither: the image's own size holds then."""
+    return (whole(row, width), whole(row, height)) if width in row or height in row else (None, None)
+
+
+def optional_number(row: Mapping[str, Any], key: str) -> float | None:
+    """The finite number under a key, or None where there is none."""
+    try:
+        value = number(row, key)
+    except BadRow:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def numbers(row: Any, key: str, count: int) -> Array:
+    """The list of `count` numbers under a key, nested lists flattened in row order; BadRow otherwise."""
+    value = _get(row, key)
+    if not isinstance(value, list):
+        raise BadRow(f"{key} is no list")
+    if value and all(isinstance(inner, list) for inner in value):
+        value = [x for inner in value for x in inner]
+    if len(value) != count:
+        raise BadRow(f"{key} has {len(value)} numbers, not {count}")
+    return np.array([to_number(v, key) for v in value])
+
+
+def split_numbers(line: str, count: int | None = None, separator: str | None = None) -> list[float]:
+    """The numbers of a line of text; BadRow where one isn't a number, or there aren't `count`."""
+    values = [to_number(part.strip(), "value") for part in line.split(separator)]
+    if count is not None and len(values) != count:
+        raise BadRow(f"row has {len(values)} numbers, not {count}")
+    return values
+
+
+def to_number(value: Any, name: str) -> float:
+    """`value`, a number or its text, as a float; BadRow otherwise."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise BadRow(f"{name} is no number")
+    try:
+        return float(value)
+    except (ValueError, OverflowError):
+        raise BadRow(f"{name} is no number") from None
+
+
+def seconds_to_ns(seconds: float, name: str = "time") -> int:
+    """Seconds as int64 nanoseconds; BadRow where they aren't finite or don't fit."""
+    ns = seconds * 1e9
+    if not math.isfinite(ns) or abs(ns) > MAX_NS:
+        raise BadRow(f"{name} {seconds} is no time")
+    return round(ns)
+
+
+def inside(folder: Path, name: Any) -> Path:
+    """The path that a log names, relative to its folder; BadRow for one that is no text or leads out of the folder."""
+    if not isinstance(name, str) or not name or "\0" in name:
+        raise BadRow("image name is no text")
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        raise BadRow("image name has half of a character (a lone surrogate)") from None
+    if leads_outside(name):
+        raise BadRow("image name leads out of the recording")
+    return folder / name
 
 
 def row_major_pose(values: Sequence[float] | Array) -> Array:
@@ -239,20 +219,6 @@ def row_major_pose(values: Sequence[float] | Array) -> Array:
     flat = np.asarray(values, dtype=float)
     pose[: len(flat) // 4] = flat.reshape(-1, 4)
     return pose
-
-
-def _get(row: Mapping[str, Any], key: str) -> Any:
-    if key not in row:
-        raise BadRow(f"{key} is missing")
-    return row[key]
-
-
-def _flatten(value: Any, key: str) -> list[Any]:
-    if not isinstance(value, list):
-        raise BadRow(f"{key} is no list")
-    if value and all(isinstance(v, list) for v in value):
-        return [x for inner in value for x in inner]
-    return value
 
 
 def from_arkit(world_T_arkit_cam: Array) -> Array:
@@ -273,14 +239,38 @@ def quaternion_pose(translation: Sequence[float], xyzw: Sequence[float]) -> Arra
         raise BadRow(str(error)) from None
 
 
-def inside(folder: Path, name: Any) -> Path:
-    """The path that a log names, relative to its folder; BadRow for one that is no text or leads out of the folder."""
-    if not isinstance(name, str) or not name or "\0" in name:
-        raise BadRow("image name is no text")
+@functools.lru_cache(maxsize=256)  # the fit takes milliseconds, and the frames of a capture mostly share a camera
+def fisheye_intrinsics(
+    fx_fy_cx_cy: tuple[float, ...], width: int, height: int, fisheye: tuple[float, ...]
+) -> Intrinsics:
+    """Intrinsics whose distortion (OpenCV's coefficients) is that of a fisheye lens with k1 to k4, within the image;
+    BadRow where no such coefficients describe it."""
+    fx, fy, cx, cy = fx_fy_cx_cy
+    if not np.isfinite([*fx_fy_cx_cy, *fisheye]).all() or min(fx, fy) <= 0:
+        raise BadRow("intrinsics have a value that isn't finite, or a focal length that isn't positive")
+    radius = math.hypot(max(cx, width - cx) / fx, max(cy, height - cy) / fy)
     try:
-        name.encode()
-    except UnicodeEncodeError:
-        raise BadRow("image name has half of a character (a lone surrogate)") from None
-    if leads_outside(name):
-        raise BadRow("image name leads out of the recording")
-    return folder / name
+        distortion = rational_of_fisheye(fisheye, radius, _FISHEYE_TOLERANCE_PX / max(fx, fy))
+    except GeometryError as error:
+        raise BadRow(str(error)) from None
+    return Intrinsics(fx, fy, cx, cy, width, height, tuple(distortion.tolist()))
+
+
+def _get(row: Any, key: str) -> Any:
+    if not isinstance(row, dict):
+        raise BadRow("row is no object")
+    if key not in row:
+        raise BadRow(f"{key} is missing")
+    return row[key]
+
+
+def _refuse_odd_file(path: Path, max_bytes: int) -> None:
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise BadRow("no ordinary file")
+    if status.st_size > max_bytes:
+        raise BadRow(f"file has {status.st_size} bytes, more than the limit of {max_bytes}")
+
+
+def _unreadable(path: Path, found: object) -> UserError:
+    return UserError("a log can't be read", where=path, found=found)

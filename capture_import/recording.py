@@ -1,5 +1,6 @@
 """The import stage's recording: one entity tree a session, each in its own VIO frame."""
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -10,19 +11,16 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import Reject
-from groundwalk.capture_import.intake import ImportedSession
-from groundwalk.capture_import.media.images import image_size
-from groundwalk.capture_import.media.spool import thumbnail_path
-from groundwalk.capture_import.media.thumbnails import MAX_THUMBNAILS, spread, thumbnail_of
-from groundwalk.capture_import.tables import printable
+from groundwalk.capture_import.capture import Session
+from groundwalk.capture_import.media.images import decode_rgb, encode_jpeg, image_size
 from groundwalk.geometry.poses import Array, transform
 from groundwalk.geometry.rows import evenly
-from groundwalk.store.choices import PoseSource, Tracking
+from groundwalk.store.choices import Tracking
 from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
 from groundwalk.store.parallel import in_parallel
 from groundwalk.store.recording import TIMELINE, UP_AXIS, set_time
 from groundwalk.store.tables import dataset_frames
+from groundwalk.store.text import printable
 
 _TRACKING_COLOURS = {
     Tracking.NORMAL: VIO,
@@ -32,6 +30,7 @@ _TRACKING_COLOURS = {
 }
 # Enough to see each place; more would make the recording of a long walk slow to open.
 _MAX_FRUSTA = 150
+_MAX_THUMBNAILS, _THUMBNAIL_PX, _THUMBNAIL_QUALITY = 300, 320, 70
 _BATCH = 64
 # The timeline of images without times.
 _BY_NAME = "image_by_name"
@@ -48,49 +47,40 @@ def blueprint(session_ids: Sequence[str]) -> rrb.Blueprint:
 
 
 def log_session(
-    stream: rr.RecordingStream,
-    session: ImportedSession,
-    frames: pd.DataFrame,
-    rejects: Sequence[Reject],
-    image_path: Callable[[str], Path],
-    spooled: Path,
+    stream: rr.RecordingStream, session: Session, frames: pd.DataFrame, image_path: Callable[[str], Path]
 ) -> None:
-    """Log one session; `frames` are its rows of the frames table, `spooled` has the thumbnails of some of them. Time
-    counts from the session's first pose; images without times are numbered in the order of their names."""
+    """Log one session; `frames` are its rows of the frames table. Time counts from the session's first pose; images
+    without times are numbered in the order of their names."""
     at = f"/{session.session_id}"
     t_ns, poses = session.t_ns, session.poses
     stream.log(at, UP_AXIS, static=True)
     if not len(poses):
         return
-    start = int(t_ns[0])
     _log_path(stream, f"{at}/{session.recording.pose_source}", session)
     support, frames = frames[frames["support"]], dataset_frames(frames)
     _log_curves(stream, at, session, frames)
-    _log_marks(stream, at, session, rejects, start)
-    numbers, cameras = _numbers(frames), _cameras(session, frames)
+    _log_marks(stream, at, session)
     size = float(np.clip(np.ptp(poses[:, :3, 3], axis=0).max() / 15, 0.05, 1.5))
     for name, rows, depth_m in (("frames", frames, size / 4), ("support_frames", support, size / 8)):
         outlined = rows.iloc[evenly(len(rows), _MAX_FRUSTA)]
         _log_frusta(stream, f"{at}/{name}", outlined, _cameras(session, outlined), depth_m)
-    thumbnails = [thumbnail_path(spooled, number) for number in numbers]
-    ready = [i for i, thumbnail in enumerate(thumbnails) if thumbnail.is_file()]
-    candidates = ready if len(ready) >= min(len(frames), MAX_THUMBNAILS) / 2 else range(len(frames))
-    images = np.array(spread(candidates), dtype=int)
-    for first in range(0, len(images), _BATCH):
-        batch = images[first : first + _BATCH]
-        jpegs = list(in_parallel(lambda i: _thumbnail(thumbnails[i], image_path(frames["image"].iloc[i])), batch))
-        times = _time_column(session, frames["t_ns"].to_numpy()[batch] - start)
-        _log_images(stream, f"{at}/camera", frames.iloc[batch], cameras[batch], jpegs, times, size)
+    shown = frames.iloc[:: max(1, math.ceil(len(frames) / _MAX_THUMBNAILS))]
+    for first in range(0, len(shown), _BATCH):
+        batch = shown.iloc[first : first + _BATCH]
+        jpegs = list(in_parallel(lambda image: _thumbnail(image_path(image)), batch["image"]))
+        times = _time_column(session, batch["t_ns"].to_numpy() - t_ns[0])
+        _log_images(stream, f"{at}/camera", batch, _cameras(session, batch), jpegs, times, size)
 
 
-def _numbers(frames: pd.DataFrame) -> list[int]:
-    return [int(frame_id.rpartition("/")[2]) for frame_id in frames["frame_id"]]
+def _thumbnail(path: Path) -> bytes:
+    """The small JPEG of an image file."""
+    return encode_jpeg(decode_rgb(path.read_bytes(), _THUMBNAIL_PX), _THUMBNAIL_QUALITY)
 
 
-def _cameras(session: ImportedSession, frames: pd.DataFrame) -> Array:
+def _cameras(session: Session, frames: pd.DataFrame) -> Array:
     """The session's poses (N, 4, 4) of these rows of the frames table."""
-    pose_of = {image.frame.number: image.frame.vio_T_cam for image in session.images}
-    return np.array([pose_of[number] for number in _numbers(frames)], dtype=float).reshape(-1, 4, 4)
+    pose_of = {session.frame_id(image.frame.number): image.frame.vio_T_cam for image in session.images}
+    return np.array([pose_of[name] for name in frames["frame_id"]], dtype=float).reshape(-1, 4, 4)
 
 
 def _session_view(session_id: str) -> rrb.Container:
@@ -158,11 +148,7 @@ def _log_images(
     stream.send_columns(f"{at}/image", indexes=[times], columns=[*camera, *image])
 
 
-def _thumbnail(ready: Path, image: Path) -> bytes:
-    return ready.read_bytes() if ready.is_file() else thumbnail_of(image)
-
-
-def _log_path(stream: rr.RecordingStream, at: str, session: ImportedSession) -> None:
+def _log_path(stream: rr.RecordingStream, at: str, session: Session) -> None:
     """The path, in one strip for each part of the same tracking state; a reference in the colour of ground truth."""
     positions = session.poses[:, :3, 3]
     states = np.array([f.tracking for f in session.frames])
@@ -170,12 +156,12 @@ def _log_path(stream: rr.RecordingStream, at: str, session: ImportedSession) -> 
     # A strip reaches to the first pose of the next one, so that the path has no gaps.
     strips = [positions[a : b + 1] for a, b in pairwise(borders)]
     colours = [_TRACKING_COLOURS[states[a]] for a in borders[:-1]]
-    if session.recording.pose_source == PoseSource.REFERENCE:
+    if not session.has_vio:
         colours = [_colour(session)] * len(strips)
     stream.log(at, rr.LineStrips3D(strips, colors=colours, radii=rr.Radius.ui_points(1.5)), static=True)
 
 
-def _log_curves(stream: rr.RecordingStream, at: str, session: ImportedSession, frames: pd.DataFrame) -> None:
+def _log_curves(stream: rr.RecordingStream, at: str, session: Session, frames: pd.DataFrame) -> None:
     t_ns, positions = session.t_ns, session.poses[:, :3, 3]
     if len(t_ns) > 1 and session.recording.clock.has_times:
         speed = np.linalg.norm(np.diff(positions, axis=0), axis=1) / (np.diff(t_ns) * 1e-9)
@@ -186,14 +172,14 @@ def _log_curves(stream: rr.RecordingStream, at: str, session: ImportedSession, f
         _log_curve(stream, f"{at}/sharpness", since, frames["sharpness"].to_numpy(), "sharpness", NEUTRAL)
 
 
-def _time_column(session: ImportedSession, since_ns: NDArray[np.int64]) -> rr.TimeColumn:
+def _time_column(session: Session, since_ns: NDArray[np.int64]) -> rr.TimeColumn:
     if session.recording.clock.has_times:
         return rr.TimeColumn(TIMELINE, duration=since_ns.astype("timedelta64[ns]"))
     return rr.TimeColumn(_BY_NAME, sequence=since_ns // 10**9)
 
 
-def _colour(session: ImportedSession) -> tuple[int, int, int]:
-    return VIO if session.recording.pose_source == PoseSource.VIO else GROUND_TRUTH
+def _colour(session: Session) -> tuple[int, int, int]:
+    return VIO if session.has_vio else GROUND_TRUTH
 
 
 def _log_curve(
@@ -203,13 +189,12 @@ def _log_curve(
     stream.send_columns(at, indexes=[times], columns=rr.Scalars.columns(scalars=values))
 
 
-def _log_marks(
-    stream: rr.RecordingStream, at: str, session: ImportedSession, rejects: Sequence[Reject], start: int
-) -> None:
+def _log_marks(stream: rr.RecordingStream, at: str, session: Session) -> None:
     """Rejects and jumps: a point where the phone was, and a line in the log."""
     t_ns, positions = session.t_ns, session.poses[:, :3, 3]
+    start = int(t_ns[0])
     places, labels = [], []
-    for reject in rejects:
+    for reject in session.rejects:
         t = start if reject.t_ns is None else reject.t_ns
         if session.recording.clock.has_times:
             set_time(stream, t - start)
@@ -221,19 +206,14 @@ def _log_marks(
             places.append(positions[np.searchsorted(t_ns, t)])
             labels.append(printable(reject.reason))
     if places:
-        stream.log(
-            f"{at}/rejects",
-            rr.Points3D(places, colors=REJECTED, radii=rr.Radius.ui_points(5), labels=labels, show_labels=False),
-            static=True,
-        )
+        points = rr.Points3D(places, colors=REJECTED, radii=rr.Radius.ui_points(5), labels=labels, show_labels=False)
+        stream.log(f"{at}/rejects", points, static=True)
     if session.jumps:
-        ends = [min(int(np.searchsorted(t_ns, jump.t_ns)), len(t_ns) - 1) for jump, _ in session.jumps]
-        texts = [f"jump {j.jump_m:.2f} m, {j.jump_deg:.1f} deg" for j, _ in session.jumps]
-        stream.log(
-            f"{at}/jumps",
-            rr.Points3D(positions[ends], colors=REJECTED, radii=rr.Radius.ui_points(6), labels=texts),
-            static=True,
-        )
-        for (jump, splits), text in zip(session.jumps, texts, strict=True):
+        ends = [min(int(np.searchsorted(t_ns, jump.t_ns)), len(t_ns) - 1) for jump in session.jumps]
+        texts = [f"jump {j.jump_m:.2f} m, {j.jump_deg:.1f} deg" for j in session.jumps]
+        points = rr.Points3D(positions[ends], colors=REJECTED, radii=rr.Radius.ui_points(6), labels=texts)
+        stream.log(f"{at}/jumps", points, static=True)
+        for jump, text in zip(session.jumps, texts, strict=True):
             set_time(stream, jump.t_ns - start)
-            stream.log(f"{at}/log/jumps", rr.TextLog(text + (", session split" if splits else ""), level="WARN"))
+            line = text + (", session split" if jump.splits else "")
+            stream.log(f"{at}/log/jumps", rr.TextLog(line, level="WARN"))

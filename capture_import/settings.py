@@ -23,14 +23,6 @@ class ImportSettings(Settings):
         ge=0,
         description="a capture with fewer frames by the settings above is sampled more densely, to about this many",
     )
-    support_step_m: float = Field(
-        0.3,
-        ge=0,
-        description="largest distance between neighbouring images of SfM, metres; support frames fill; 0: any",
-    )
-    support_step_deg: float = Field(
-        15.0, ge=0, description="largest angle between neighbouring images of SfM, degrees; support frames fill; 0: any"
-    )
     max_support_fraction: float = Field(
         1.0, ge=0, description="most support frames (images for SfM alone), as a fraction of the frames of the dataset"
     )
@@ -38,8 +30,8 @@ class ImportSettings(Settings):
         "session",
         description="split for testing by whole recordings where there are several, or each recording in time",
     )
-    images: Literal["reference", "copy", "link"] = Field(
-        "reference", description="use images where the capture has them, or copy or hard-link them"
+    images: Literal["reference", "copy"] = Field(
+        "reference", description="use images where the capture has them, or copy them"
     )
     first_row: Literal["auto", "top", "right", "bottom", "left"] = Field(
         "auto",
@@ -50,15 +42,12 @@ class ImportSettings(Settings):
         False, description="turn images upright by gravity, a quarter turn at a time, with intrinsics and poses"
     )
     blur: bool = Field(False, description="make faces and licence plates that a detector finds unrecognisable")
-    max_pose_gap_s: float = Field(0.5, gt=0, description="longest gap in which poses are interpolated, seconds")
     min_relative_sharpness: float = Field(
         0.5,
         ge=0,
         lt=1,
         description="an image less sharp than this fraction of its session's median sharpness is rejected as blurred",
     )
-    max_jump_m: float = Field(0.5, gt=0, description="a session is split at VIO jumps of more metres")
-    max_jump_deg: float = Field(15.0, gt=0, description="a session is split at VIO jumps of more degrees")
     check_convention: bool = Field(
         True, description="compare poses and intrinsics with matched images, and stop where another convention fits"
     )

@@ -12,11 +12,8 @@ from pathlib import Path
 
 from numpy.random import Generator
 
-import benchmarks.import_captures  # noqa: F401  (puts the tests' writers on the path)
 from benchmarks.faults.case import Case
 from benchmarks.faults.sandbox import PROFILE, SCENE, Sandbox
-
-# isort: split
 from tests.capture_import.capture_mutations import mutate
 from tests.capture_import.capture_writers import WRITERS, make_walk
 

@@ -173,7 +173,7 @@ def read_recordings(folder: Path) -> Recordings:
 
 def _poses(path: Path, format_name: str) -> tuple[NDArray[np.int64], Array]:
     """Times (N,) and world_T_cam (N, 4, 4) of a log in a capture format; UserError where a row can't be read."""
-    raw = FORMATS.find(format_name).read(path, path.stem, Limits())
+    raw = FORMATS.find(format_name).read(path, Limits())
     if raw.rejects:
         raise UserError(
             "a row of a log can't be read", where=path, found=f"{raw.rejects[0].source}: {raw.rejects[0].reason}"

@@ -7,13 +7,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import RawFrame
-from groundwalk.capture_import.checks.scan import LoadGray
-from groundwalk.capture_import.intake import ImportedSession
+from groundwalk.capture_import.capture import RawFrame, Session
 from groundwalk.capture_import.media.images import Gray
+from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.geometry.poses import Array, interpolate, relative
 
-CLOCK_LONG_SIDE = 192
+_LONG_SIDE = 192
 _MAX_IMAGES = 240
 _MIN_IMAGES = 20
 # Images further apart don't show when a turn began.
@@ -35,9 +34,9 @@ class ClockCheck:
     correlation: float
 
 
-def check_clock(session: ImportedSession, load: LoadGray) -> ClockCheck:
+def check_clock(session: Session, images: ImageReader) -> ClockCheck:
     """Find the constant offset at which the rotation of the poses best explains the motion of the images."""
-    views = list(load(dense_part([image.frame for image in session.images]), CLOCK_LONG_SIDE))
+    views = list(images.gray(_dense_part([image.frame for image in session.images]), _LONG_SIDE))
     if len(views) < _MIN_IMAGES:
         return ClockCheck(None, np.nan)
     t_ns = np.array([frame.t_ns for frame, _ in views], dtype=np.int64)
@@ -57,7 +56,7 @@ def check_clock(session: ImportedSession, load: LoadGray) -> ClockCheck:
     return ClockCheck(float(offsets[best]) if is_clear else None, float(scores[best]))
 
 
-def dense_part(frames: Sequence[RawFrame]) -> Sequence[RawFrame]:
+def _dense_part(frames: Sequence[RawFrame]) -> Sequence[RawFrame]:
     """Of frames with images, the middle of the longest part without a long interval, so far from the first and the last
     frame, where there are enough, that it can be shifted; none where it's too short."""
     t_s = np.array([frame.t_ns for frame in frames]) * 1e-9
@@ -81,7 +80,7 @@ def _image_motion(views: Sequence[tuple[RawFrame, Gray, float]]) -> Array:
     for frame, gray, scale in views:
         current = gray.astype(np.float32)
         camera = frame.intrinsics
-        assert camera is not None  # intake drops images without
+        assert camera is not None  # a sound image has them
         if last is not None and last.shape == current.shape:
             if window is None or window.shape != current.shape:
                 window = cv2.createHanningWindow((current.shape[1], current.shape[0]), cv2.CV_32F)

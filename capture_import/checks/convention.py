@@ -8,22 +8,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import RawFrame
-from groundwalk.capture_import.checks.scan import LoadGray
-from groundwalk.capture_import.intake import Image, ImportedSession
+from groundwalk.capture_import.capture import Image, RawFrame, Session, poses_of
+from groundwalk.capture_import.checks.features import LONG_SIDE, detect_features, match_features
+from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.lens import undistort
 from groundwalk.geometry.pose_conventions import POSE_CONVENTIONS, PoseChange, turned_image
 from groundwalk.geometry.poses import Array, relative, rotation_angle
 from groundwalk.store.parallel import in_parallel
 
-CONVENTION_LONG_SIDE = 400
-_FEATURES = 500
-_RATIO = 0.8
 # Points this near to their epipolar line, in pixels of the working image, are explained: odometry is off by some tenths
 # of a degree from one image to the next.
 _NEAR_PX = 2.0
@@ -41,6 +36,9 @@ _MAX_POSES, _NEAREST = 256, 8
 _MIN_GAIN = 0.2
 _MIN_MOST = 0.6
 
+# Of a guess, from a telephoto to a wide lens, in steps of a hundredth.
+_FOCAL_FACTORS = np.exp(np.arange(-1.2, 1.2, 0.01)).tolist()
+
 # Where fewer matches are explained, even the best convention is doubtful.
 MIN_EXPLAINED = 0.5
 
@@ -50,8 +48,6 @@ Camera = tuple[Array, Array]
 # image, and much alike in both.
 Distortion = tuple[float, ...]
 Change = Callable[[Camera], Camera]
-# SIFT positions (N, 2) with (0, 0) the image's corner, and descriptors (N, 128).
-Features = tuple[Array, NDArray[np.float32]]
 
 
 @dataclass(frozen=True)
@@ -70,26 +66,50 @@ class ConventionCheck:
 
 
 @dataclass(frozen=True)
-class MatchedPair:
+class _MatchedPair:
     """Matched points of two images (N, 2) in pixels of the working size, (0, 0) the image's corner, the cameras, and
     the distortion that is stated of each."""
 
     points: tuple[Array, Array]
     cameras: tuple[Camera, Camera]
-    distortion: tuple[Distortion, Distortion] = ((), ())
+    distortion: tuple[Distortion, Distortion]
 
 
-def check_convention(session: ImportedSession, load: LoadGray) -> ConventionCheck:
-    """Compare a session's poses with its images."""
-    return best_convention(matched_pairs(session, load))
+def check_convention(session: Session, reader: ImageReader) -> ConventionCheck:
+    """Compare a session's poses with its images, in every convention."""
+    matched = _matched_pairs(session, reader)
+    if not matched:
+        return ConventionCheck(0, np.nan, "", np.nan, None)
+    table = np.array([[_explained(pair, change) for _, change in CONVENTIONS] for pair in matched])
+    mean = table.mean(axis=0)
+    best = 1 + int(np.argmax(mean[1:]))
+    wins = np.mean(table[:, best] > table[:, 0])
+    contradicted = len(matched) >= _MIN_PAIRS and mean[best] > max(_MIN_MOST, mean[0] + _MIN_GAIN) and wins > 0.75
+    name = CONVENTIONS[best][0]
+    return ConventionCheck(len(matched), float(mean[0]), name, float(mean[best]), name if contradicted else None)
 
 
-def matched_pairs(session: ImportedSession, load: LoadGray) -> list[MatchedPair]:
+def focal_factor(session: Session, reader: ImageReader) -> float | None:
+    """The factor of the focal lengths with which a session's poses explain its images best; None where too few pairs
+    have parallax."""
+    matched = _matched_pairs(session, reader)
+    if len(matched) < _MIN_PAIRS:
+        return None
+
+    def cost(factor: float) -> float:
+        errors = [_errors_px(pair, lambda camera: (camera[0], camera[1] * [factor, factor, 1, 1])) for pair in matched]
+        return float(np.mean(np.minimum(np.nan_to_num(np.concatenate(errors), nan=np.inf), _NEAR_PX) ** 2))
+
+    return float(min(_FOCAL_FACTORS, key=cost))
+
+
+def _matched_pairs(session: Session, reader: ImageReader) -> list[_MatchedPair]:
     """A session's pairs of images with parallax and enough matches."""
     frames = [image.frame for image in session.images]
     is_walk = session.recording.is_metric and session.recording.clock.has_times
     pairs = parallax_pairs(frames) if is_walk else unitless_parallax_pairs(frames)
-    features = _features([frames[i] for i in sorted({i for pair in pairs for i in pair})], load)
+    views = reader.gray([frames[i] for i in sorted({i for pair in pairs for i in pair})], LONG_SIDE)
+    features = dict(in_parallel(lambda view: (view[0].number, detect_features(view[1])), views))
     matched = []
     for a, b in pairs:
         features_a, features_b = features.get(frames[a].number), features.get(frames[b].number)
@@ -98,22 +118,10 @@ def matched_pairs(session: ImportedSession, load: LoadGray) -> list[MatchedPair]
         matches = match_features(features_a[1], features_b[1])
         if len(matches) >= _MIN_MATCHES:
             points = features_a[0][matches[:, 0]], features_b[0][matches[:, 1]]
-            (camera_a, lens_a), (camera_b, lens_b) = (_camera(session.images[i]) for i in (a, b))
-            matched.append(MatchedPair(points, (camera_a, camera_b), (lens_a, lens_b)))
+            cameras = _camera(session.images[a]), _camera(session.images[b])
+            lenses = session.images[a].camera.distortion, session.images[b].camera.distortion
+            matched.append(_MatchedPair(points, cameras, lenses))
     return matched
-
-
-def best_convention(pairs: Sequence[MatchedPair]) -> ConventionCheck:
-    """The convention in which the cameras of the pairs fit best."""
-    if not pairs:
-        return ConventionCheck(0, np.nan, "", np.nan, None)
-    table = np.array([[_explained(pair, change) for _, change in CONVENTIONS] for pair in pairs])
-    mean = table.mean(axis=0)
-    best = 1 + int(np.argmax(mean[1:]))
-    wins = np.mean(table[:, best] > table[:, 0])
-    contradicted = len(pairs) >= _MIN_PAIRS and mean[best] > max(_MIN_MOST, mean[0] + _MIN_GAIN) and wins > 0.75
-    name = CONVENTIONS[best][0]
-    return ConventionCheck(len(pairs), float(mean[0]), name, float(mean[best]), name if contradicted else None)
 
 
 def parallax_pairs(frames: Sequence[RawFrame]) -> list[tuple[int, int]]:
@@ -121,7 +129,7 @@ def parallax_pairs(frames: Sequence[RawFrame]) -> list[tuple[int, int]]:
 
     Distances are the same in all conventions but the world-to-camera one, so that a wrong one has pairs too.
     """
-    poses = np.array([frame.vio_T_cam for frame in frames], dtype=float).reshape(-1, 4, 4)
+    poses = poses_of(frames)
     t_s = np.array([frame.t_ns for frame in frames]) * 1e-9
     borders: list[int] = []
     if len(frames):
@@ -134,7 +142,7 @@ def unitless_parallax_pairs(frames: Sequence[RawFrame]) -> list[tuple[int, int]]
     """Pairs as those of `parallax_pairs` where poses have no unit or no times: each frame and one of the
     nearest, about as far as nearest ones with little rotation are. The same at any scale and origin, as good in any
     order of the frames."""
-    poses = np.array([frame.vio_T_cam for frame in frames], dtype=float).reshape(-1, 4, 4)
+    poses = poses_of(frames)
     used = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _MAX_POSES)).astype(int))
     pairs: dict[tuple[int, int], None] = {}
     for a in used.tolist():
@@ -167,45 +175,30 @@ def _with_parallax(poses: Array, t_s: Array, firsts: range) -> tuple[int, int] |
     return None
 
 
-def _features(frames: Sequence[RawFrame], load: LoadGray) -> dict[int, Features]:
-    """The features of the frames in the working size, by the frames' numbers."""
-    views = load(frames, CONVENTION_LONG_SIDE)
-    return dict(in_parallel(lambda view: (view[0].number, detect_features(view[1])), views))
+def _camera(image: Image) -> Camera:
+    pose, camera = image.frame.vio_T_cam, image.camera
+    assert pose is not None  # a sound image has one
+    scale = min(1.0, LONG_SIDE / max(image.check.width, image.check.height))
+    return pose, scale * np.array([camera.fx, camera.fy, camera.cx, camera.cy])
 
 
-def detect_features(gray: NDArray[np.uint8]) -> Features:
-    points, descriptors = cv2.SIFT.create(nfeatures=_FEATURES).detectAndCompute(gray, None)
-    positions = np.array([p.pt for p in points], dtype=float).reshape(-1, 2) + 0.5
-    return positions, np.zeros((0, 128), np.float32) if descriptors is None else descriptors.astype(np.float32)
+def _errors_px(pair: _MatchedPair, change: Change) -> Array:
+    """Distances (N,) of a pair's matches from their epipolar lines (Sampson's), its cameras changed."""
+    (world_T_a, k_a), (world_T_b, k_b) = map(change, pair.cameras)
+    rays = [_rays(p, k, lens) for p, k, lens in zip(pair.points, (k_a, k_b), pair.distortion, strict=True)]
+    b_T_a = np.tile(relative(world_T_b, world_T_a), (len(rays[0]), 1, 1))
+    return sampson_px(b_T_a, rays[1], rays[0], k_b[:2], k_a[:2])
 
 
-def match_features(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Mutual nearest neighbours that pass the ratio test, as index pairs (M, 2)."""
-    if min(len(a), len(b)) < 2:
-        return np.zeros((0, 2), np.int64)
-    forward = cv2.BFMatcher().knnMatch(a, b, k=2)
-    back = {m.queryIdx: m.trainIdx for m in cv2.BFMatcher().match(b, a)}
-    good = [m for m, n in forward if m.distance < _RATIO * n.distance and back.get(m.trainIdx) == m.queryIdx]
-    return np.array([(m.queryIdx, m.trainIdx) for m in good], dtype=np.int64).reshape(-1, 2)
-
-
-def _camera(image: Image) -> tuple[Camera, Distortion]:
-    pose, intrinsics = image.frame.vio_T_cam, image.frame.intrinsics
-    assert pose is not None and intrinsics is not None  # intake drops images without
-    scale = min(1.0, CONVENTION_LONG_SIDE / max(image.check.width, image.check.height))
-    k = scale * np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
-    return (pose, k), intrinsics.distortion
-
-
-def _explained(pair: MatchedPair, change: Change) -> float:
-    """Fraction of matches near to their epipolar lines (Sampson's distance) and in front of both cameras, changed."""
+def _explained(pair: _MatchedPair, change: Change) -> float:
+    """Fraction of matches near to their epipolar lines and in front of both cameras, changed."""
     (world_T_a, k_a), (world_T_b, k_b) = map(change, pair.cameras)
     b_T_a = relative(world_T_b, world_T_a)
     rays_a, rays_b = (
         _rays(points, k, lens) for points, k, lens in zip(pair.points, (k_a, k_b), pair.distortion, strict=True)
     )
     rotation, t = b_T_a[:3, :3], b_T_a[:3, 3]
-    near = sampson_px(np.tile(b_T_a, (len(rays_a), 1, 1)), rays_b, rays_a, k_b[:2], k_a[:2]) < _NEAR_PX
+    near = _errors_px(pair, change) < _NEAR_PX
     # Depths along both rays where they come nearest: depth_b * ray_b = depth_a * R ray_a + t.
     turned = rays_a @ rotation.T
     aa, bb, ab = (np.sum(x * y, axis=1) for x, y in ((turned, turned), (rays_b, rays_b), (turned, rays_b)))

@@ -10,17 +10,15 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from groundwalk.capture_import.capture import RawFrame
-from groundwalk.capture_import.checks.scan import LoadGray
-from groundwalk.capture_import.intake import Image, ImportedSession, Intake
+from groundwalk.capture_import.capture import Image, Session
 from groundwalk.capture_import.media.images import WORKING_LONG_SIDE, Gray
+from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.geometry.lens import undistort
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
 from groundwalk.geometry.vanishing import line_axes
 from groundwalk.store.choices import PoseSource, UpSource
 
-LINES_LONG_SIDE = WORKING_LONG_SIDE
 _MAX_IMAGES = 24
 _MIN_IMAGES = 4
 # Shorter lines, in focal lengths, have no sure direction, and fewer say nothing.
@@ -51,40 +49,35 @@ class GravityCheck:
         return f"{'+y is up' if self.is_aligned else 'unknown'}: {self.text}" if self.text else ""
 
 
-def check_gravity(intake: Intake, load: LoadGray) -> GravityCheck:
-    """Test the gravity of one recording's poses. What lines in the images say goes before what its start pose says, and
-    what the capture itself states before both; a reference isn't tested."""
-    recording = intake.sessions[0].recording
+def check_gravity(sessions: Sequence[Session], images: ImageReader) -> GravityCheck:
+    """Test the gravity of one recording's poses, by its sessions. What lines in the images say goes before what its
+    start pose says, and what the capture itself states before both; a reference isn't tested."""
+    recording = sessions[0].recording
     stated = GravityCheck(recording.is_gravity_aligned, recording.up_source)
     if recording.pose_source != PoseSource.VIO:
         return stated
     if not stated.is_aligned:
         return replace(stated, text="the capture says that its +y isn't up")
-    by_lines = _by_lines(max(intake.sessions, key=lambda session: len(session.images)), load)
+    by_lines = _by_lines(max(sessions, key=lambda session: len(session.images)), images)
     if stated.source == UpSource.STATED:
         if by_lines is not None and not by_lines.is_aligned:
             return replace(stated, text=f"by what the capture states, but {by_lines.text}")
         return stated
     if by_lines is not None:
         return by_lines
-    if starts_along_axes(intake.sessions):
+    if starts_along_axes(sessions):
         text = "the first pose lies exactly along the world's axes: poses relative to the first camera"
         return GravityCheck(False, UpSource.START_POSE, text)
     return stated
 
 
-def with_gravity(intake: Intake, check: GravityCheck) -> Intake:
-    """The intake with what was found of its recording's gravity."""
-    return replace(
-        intake,
-        sessions=[
-            replace(s, recording=replace(s.recording, is_gravity_aligned=check.is_aligned, up_source=check.source))
-            for s in intake.sessions
-        ],
-    )
+def with_gravity(sessions: Sequence[Session], check: GravityCheck) -> list[Session]:
+    """The sessions of a recording with what was found of its gravity."""
+    up = {"is_gravity_aligned": check.is_aligned, "up_source": check.source}
+    return [replace(session, recording=replace(session.recording, **up)) for session in sessions]
 
 
-def starts_along_axes(sessions: Sequence[ImportedSession]) -> bool:
+def starts_along_axes(sessions: Sequence[Session]) -> bool:
     """The first pose of odometry turns camera axes exactly into axes of the world, as in relative poses whatever their
     convention. Poses that stay the same up to a jump are no start: odometry hasn't begun."""
     rotations = (session.poses[:, :3, :3] for session in sessions if len(session.frames))
@@ -92,15 +85,11 @@ def starts_along_axes(sessions: Sequence[ImportedSession]) -> bool:
     return moving is not None and bool(np.abs(moving[0] - moving[0].round()).max() < _EXACT)
 
 
-def spread_images(frames: Sequence[RawFrame]) -> list[RawFrame]:
-    """Of frames with images, those in which lines are looked for."""
-    return [frames[i] for i in evenly(len(frames), _MAX_IMAGES)] if len(frames) >= _MIN_IMAGES else []
-
-
-def _by_lines(session: ImportedSession, load: LoadGray) -> GravityCheck | None:
+def _by_lines(session: Session, reader: ImageReader) -> GravityCheck | None:
     """What lines say of a session's +y; None where they say nothing."""
     images = {image.frame.number: image for image in session.images}
-    views = load(spread_images([image.frame for image in session.images]), LINES_LONG_SIDE)
+    spread = [session.images[i].frame for i in evenly(len(images), _MAX_IMAGES)] if len(images) >= _MIN_IMAGES else []
+    views = reader.gray(spread, WORKING_LONG_SIDE)
     lines = list(_planes_of_lines((images[frame.number], gray) for frame, gray in views))
     if not lines:
         return None
@@ -123,8 +112,8 @@ def _planes_of_lines(views: Iterator[tuple[Image, Gray]]) -> Iterator[tuple[Arra
     lengths (N,) in focal lengths."""
     detector = cv2.createLineSegmentDetector()
     for image, gray in views:
-        segments, camera, pose = detector.detect(gray)[0], image.frame.intrinsics, image.frame.vio_T_cam
-        assert camera is not None and pose is not None  # intake drops images without
+        segments, camera, pose = detector.detect(gray)[0], image.camera, image.frame.vio_T_cam
+        assert pose is not None  # a sound image has one
         if segments is None:
             continue
         scale = gray.shape[1] / image.check.width

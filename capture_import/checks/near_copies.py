@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import RawFrame
-from groundwalk.capture_import.checks.convention import CONVENTION_LONG_SIDE, Features, detect_features, match_features
-from groundwalk.capture_import.checks.scan import LoadGray
+from groundwalk.capture_import.capture import RawFrame, poses_of
+from groundwalk.capture_import.checks.features import LONG_SIDE, Features, detect_features, match_features
+from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
 from groundwalk.store.parallel import in_parallel
@@ -33,26 +33,22 @@ class NearCopies:
     pairs: list[tuple[int, int]]
 
 
-def find_near_copies(test: Sequence[RawFrame], train: Sequence[RawFrame], load: LoadGray) -> NearCopies:
+def find_near_copies(test: Sequence[RawFrame], train: Sequence[RawFrame], images: ImageReader) -> NearCopies:
     """The test images of which much of what is seen is at nearly the same place in a training image.
 
     All frames have poses, which choose what is compared; images decide."""
     tried = evenly(len(test), _MAX_LOOKED_AT)
-    poses, of_train_poses = _poses(test), _poses(train)
+    poses, of_train_poses = poses_of(test), poses_of(train)
     candidates = {int(i): _nearest(poses[i], of_train_poses) for i in tried}
     of_train = sorted({int(j) for nearest in candidates.values() for j in nearest})
     frames = [test[i] for i in candidates] + [train[j] for j in of_train]
-    views = in_parallel(lambda view: (id(view[0]), detect_features(view[1])), load(frames, CONVENTION_LONG_SIDE))
+    views = in_parallel(lambda view: (id(view[0]), detect_features(view[1])), images.gray(frames, LONG_SIDE))
     features: dict[int, Features] = dict(views)
     pairs = []
     for i, nearest in candidates.items():
         near = [int(j) for j in nearest if _are_near(features.get(id(test[i])), features.get(id(train[j])))]
         pairs += [(i, near[0])] if near else []
     return NearCopies(len(candidates), pairs)
-
-
-def _poses(frames: Sequence[RawFrame]) -> Array:
-    return np.array([frame.vio_T_cam for frame in frames], dtype=float).reshape(-1, 4, 4)
 
 
 def _nearest(pose: Array, poses: Array) -> NDArray[np.int64]:
@@ -69,4 +65,4 @@ def _are_near(a: Features | None, b: Features | None) -> bool:
     if len(matches) < max(_MIN_MATCHED * min(len(a[0]), len(b[0])), 1):
         return False
     moved = np.linalg.norm(a[0][matches[:, 0]] - b[0][matches[:, 1]], axis=1)
-    return float(np.median(moved)) < _MAX_MOVED * CONVENTION_LONG_SIDE
+    return float(np.median(moved)) < _MAX_MOVED * LONG_SIDE

@@ -3,13 +3,12 @@
 What still can be used is a warning, since phones ride in vehicles and lifts, too.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from groundwalk.capture_import.intake import Intake
-from groundwalk.store.choices import PoseSource
+from groundwalk.capture_import.capture import Session
 
 # The median speed of a runner; walks with a phone are below 2 m/s.
 MAX_WALK_M_S = 3.0
@@ -19,7 +18,6 @@ MAX_SPEED_M_S = 100.0
 # Apps log poses at 1 to 60 Hz, inertial odometry at 1000 Hz at most. A unit of time is wrong by a factor of 1000 or
 # more, which takes 60 Hz to 0.06 Hz, and 2 Hz to 2000 Hz.
 MIN_RATE_HZ, MAX_RATE_HZ = 0.1, 1000.0
-_CORRECT_LOG = "correct the log: docs/reference/capture-formats.md says the units of each format"
 # A hand shakes more than that even where the phone only turns.
 _MIN_EXTENT_M = 0.002
 # Without a unit, poses in one place differ by this fraction of their coordinates at most.
@@ -42,22 +40,20 @@ class PlausibilityFault:
         return bool(self.remedy)
 
 
-def plausibility_faults(intake: Intake) -> list[PlausibilityFault]:
-    """What isn't plausible of a recording. Speed and rate are looked at where the poses are the phone's: a reference
-    has no unit or no times as often as not."""
-    sessions = [session for session in intake.sessions if session.frames]
+def plausibility_faults(sessions: Sequence[Session]) -> list[PlausibilityFault]:
+    """What isn't plausible of a recording, by all its sessions. Speed and rate are looked at where the poses are the
+    phone's: a reference has no unit or no times as often as not."""
+    sessions = [session for session in sessions if session.frames]
     if not sessions:
         return []
-    motion = list(_of_motion(intake)) if sessions[0].recording.pose_source == PoseSource.VIO else []
-    return [*motion, *_of_images(intake)]
-
-
-def _of_motion(intake: Intake) -> Iterator[PlausibilityFault]:
     # All parts together: a jump between them is one step of many, and medians don't see it.
-    t_ns = np.concatenate([session.t_ns for session in intake.sessions])
-    xyz = np.concatenate([session.poses[:, :3, 3] for session in intake.sessions])
-    if len(t_ns) < 2:
-        return
+    poses = np.concatenate([session.poses for session in sessions])
+    t_ns = np.concatenate([session.t_ns for session in sessions])
+    motion = _of_motion(t_ns, poses[:, :3, 3]) if sessions[0].has_vio and len(t_ns) > 1 else ()
+    return [*motion, *_of_images(sessions, poses)]
+
+
+def _of_motion(t_ns: np.ndarray, xyz: np.ndarray) -> Iterator[PlausibilityFault]:
     dt_s = np.diff(t_ns) * 1e-9
     speeds = np.linalg.norm(np.diff(xyz, axis=0), axis=1) / dt_s
     median, high = np.percentile(speeds, [50, 95])
@@ -65,7 +61,9 @@ def _of_motion(intake: Intake) -> Iterator[PlausibilityFault]:
         yield PlausibilityFault(
             f"VIO moves at {median:.4g} m/s (median; 95th percentile {high:.4g} m/s), a walk is below "
             f"{MAX_WALK_M_S:g} m/s: {_unit_guess(median)}, or time stamps in another than their format's?",
-            remedy=_CORRECT_LOG if median > MAX_SPEED_M_S else "",
+            remedy="correct the log: docs/reference/capture-formats.md says the units of each format"
+            if median > MAX_SPEED_M_S
+            else "",
         )
     interval_s = float(np.median(dt_s))
     if not MIN_RATE_HZ <= 1 / interval_s <= MAX_RATE_HZ:
@@ -89,30 +87,27 @@ def _unit_guess(speed_m_s: float) -> str:
     return text
 
 
-def _all_equal(intake: Intake) -> bool:
-    poses = np.concatenate([session.poses for session in intake.sessions])
-    return len(poses) > 1 and bool((poses == poses[0]).all())
-
-
-def _of_images(intake: Intake) -> Iterator[PlausibilityFault]:
-    images = [image for session in intake.sessions for image in session.images]
+def _of_images(sessions: Sequence[Session], poses: np.ndarray) -> Iterator[PlausibilityFault]:
+    images = [image for session in sessions for image in session.images]
     if len(images) == 1:
         yield PlausibilityFault("it has one image: a model needs many that overlap")
     # The hash of a video's frame isn't known before it is written; its sharpness tells frames apart as well.
     different = len({(image.check.sha256, image.check.sharpness) for image in images})
-    xyz = np.concatenate([session.poses[:, :3, 3] for session in intake.sessions])
+    if different < 2:
+        return
+    xyz = poses[:, :3, 3]
     extent_m = float(np.linalg.norm(np.ptp(xyz, axis=0)))
-    if different > 1 and intake.sessions[0].recording.pose_source == PoseSource.VIO and _all_equal(intake):
+    if sessions[0].has_vio and len(poses) > 1 and (poses == poses[0]).all():
         yield PlausibilityFault(
             f"all {len(xyz)} poses are equal while {different} images differ: odometry didn't run, as in captures by "
             "the front camera (Face ID)",
             remedy="record with the camera at the back and tracking on, or give the images poses from elsewhere",
         )
-    elif different > 1 and not intake.sessions[0].recording.is_metric:
-        if extent_m <= _ROUNDING * float(np.abs(xyz).max(initial=0.0)):
+    elif not sessions[0].recording.is_metric:
+        if extent_m <= _ROUNDING * float(np.abs(xyz).max()):
             yield PlausibilityFault(f"all {len(xyz)} poses lie in one place while {different} images differ")
-    elif different > 1 and extent_m < _MIN_EXTENT_M:
-        seconds = max(float(s.t_ns[-1] - s.t_ns[0]) * 1e-9 for s in intake.sessions if s.frames)
+    elif extent_m < _MIN_EXTENT_M:
+        seconds = max(float(session.t_ns[-1] - session.t_ns[0]) * 1e-9 for session in sessions)
         yield PlausibilityFault(
             f"all {len(xyz)} poses lie within {1000 * extent_m:.2g} mm over {seconds:.1f} s while {different} images "
             "differ: did odometry run?"

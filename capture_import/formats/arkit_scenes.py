@@ -15,16 +15,16 @@ from pathlib import Path
 
 from scipy.spatial.transform import Rotation
 
-from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import images_in
 from groundwalk.capture_import.joining import join_by_time
 from groundwalk.capture_import.parsing import (
+    YUP_T_ZUP,
     BadRow,
-    collect,
     lines_of,
+    read_rows,
     read_text,
-    refuse_unreadable,
     seconds_to_ns,
     split_numbers,
     to_number,
@@ -34,26 +34,14 @@ from groundwalk.store.choices import Clock, PoseSource
 
 # The best images that were downloaded.
 _IMAGES = ("wide", "vga_wide", "lowres_wide")
-_YUP_R_ZUP = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
 
 
-def detect(path: Path) -> bool:
-    """A folder with lowres_wide.traj and one of the image folders."""
-    return (path / "lowres_wide.traj").is_file() and any((path / name).is_dir() for name in _IMAGES)
-
-
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     """Read the trajectory and the images; poses are interpolated where an image lies between two rows."""
-    poses, rejects = collect(lines_of(path / "lowres_wide.traj", limits), session_id, _read_pose)
-    refuse_unreadable(path, poses, rejects, "time, rotation (3), translation (3) a row")
+    poses, rejects = read_rows(lines_of(path / "lowres_wide.traj", limits), _read_pose)
     folder = next(path / name for name in _IMAGES if (path / name).is_dir())
-    cameras = folder.with_name(folder.name + "_intrinsics")
-    files = images_in(folder)
-    rows = [(f"{folder.name}/{file.name}", (file, cameras / f"{file.stem}.pincam")) for file in files]
-    images, more = collect(rows, session_id, _read_image)
-    return RawSession(
-        session_id,
-        FORMAT.id,
+    images, more = read_rows([(f"{folder.name}/{file.name}", file) for file in images_in(folder)], _read_image)
+    return Recording(
         "iPad Pro, ARKitScenes",
         Clock.BOOT,
         path,
@@ -63,22 +51,19 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     )
 
 
-def _read_pose(source: str, line: str) -> RawFrame:
-    values = split_numbers(line)
-    if len(values) != 7:
-        raise BadRow(f"row has {len(values)} numbers, not 7")
-    cam_T_world = make_pose(Rotation.from_rotvec(values[1:4]).as_matrix(), values[4:])
-    world_T_cam = make_pose(_YUP_R_ZUP, [0.0, 0.0, 0.0]) @ inverse(cam_T_world)
-    return RawFrame(0, source, seconds_to_ns(values[0]), world_T_cam)
+def _read_pose(number: int, source: str, line: str) -> RawFrame:
+    time_s, rx, ry, rz, *translation = split_numbers(line, 7)
+    cam_T_world = make_pose(Rotation.from_rotvec([rx, ry, rz]).as_matrix(), translation)
+    return RawFrame(number, source, seconds_to_ns(time_s), YUP_T_ZUP @ inverse(cam_T_world))
 
 
-def _read_image(source: str, files: tuple[Path, Path]) -> RawFrame:
-    image, camera = files
-    values = split_numbers(read_text(camera, 1 << 16))
+def _read_image(number: int, source: str, image: Path) -> RawFrame:
+    camera = image.parent.with_name(f"{image.parent.name}_intrinsics") / f"{image.stem}.pincam"
+    values = split_numbers(read_text(camera))
     if len(values) != 6 or not all(0 < size < 1e6 for size in values[:2]):
         raise BadRow(f"{camera.name} isn't width, height, fx, fy, cx, cy")
     return RawFrame(
-        number=0,
+        number=number,
         source=source,
         t_ns=seconds_to_ns(to_number(image.stem.rpartition("_")[2], "name")),
         vio_T_cam=None,
@@ -92,7 +77,6 @@ FORMAT = Format(
     id="arkit_scenes",
     label="ARKitScenes raw",
     meaning="images, reference poses, depth",
-    looks_for="lowres_wide.traj with wide/, vga_wide/ or lowres_wide/",
-    detect=detect,
+    files=("lowres_wide.traj", "|".join(f"{name}/" for name in _IMAGES)),
     read=read,
 )

@@ -12,22 +12,20 @@ A folder of images (`seq1`) is one recording; the lists say what each image is f
 """
 
 import csv
+import math
 import re
 from pathlib import Path
 
-import numpy as np
-
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import images_in, is_image, size_of, unused
+from groundwalk.capture_import.image_files import is_image, size_of
 from groundwalk.capture_import.parsing import (
     BadRow,
-    collect,
     inside,
     lines_of,
     number,
     quaternion_pose,
-    refuse_unreadable,
+    read_rows,
     seconds_to_ns,
     split_numbers,
     whole,
@@ -37,7 +35,7 @@ from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, PoseSource, SessionSplit
 
 _CAMERA = ("width", "height", "fx", "fy", "cx", "cy")
-_LISTS: dict[str, SessionSplit] = {"dataset_train.txt": SessionSplit.TRAIN, "dataset_test.txt": SessionSplit.TEST}
+_LISTS = {"dataset_train.txt": SessionSplit.TRAIN, "dataset_test.txt": SessionSplit.TEST}
 
 
 def detect(path: Path) -> bool:
@@ -49,7 +47,7 @@ def detect(path: Path) -> bool:
     )
 
 
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     """Read the rows of both lists that lie in this folder."""
     rows: list[tuple[str, tuple[SessionSplit, str]]] = []
     for name, split in _LISTS.items():
@@ -60,16 +58,15 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     focal = _focal_lengths(path.parent / "reconstruction.nvm", path.name, limits)
     cameras = _intrinsics(path.parent / "frames.csv", path.name, limits)
 
-    def read_row(source: str, row: tuple[SessionSplit, str]) -> RawFrame:
+    def read_row(_: int, source: str, row: tuple[SessionSplit, str]) -> RawFrame:
         split, line = row
         name, _, numbers = line.strip().partition(" ")
-        values = split_numbers(numbers)
+        x, y, z, qw, qx, qy, qz = split_numbers(numbers, 7)
         index = re.search(r"(\d{1,9})\.", name)
-        if len(values) != 7 or index is None:
+        if index is None:
             raise BadRow("row isn't an image's path and 7 numbers")
         if Path(name).stem not in focal:
             raise BadRow("image isn't in reconstruction.nvm")
-        qw, qx, qy, qz = values[3:]
         cam_R_world = quaternion_pose([0.0, 0.0, 0.0], [qx, qy, qz, qw])[:3, :3]
         image = inside(path.parent, name)
         width, height = size_of(image)
@@ -78,19 +75,14 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             number=int(index[1]),
             source=source,
             t_ns=seconds_to_ns(int(index[1])),
-            vio_T_cam=make_pose(cam_R_world.T, values[:3]),
+            vio_T_cam=make_pose(cam_R_world.T, [x, y, z]),
             image=ImageFile(image),
             intrinsics=cameras.get(name) or Intrinsics(f, f, width / 2, height / 2, width, height),
             split=split,
         )
 
-    frames, rejects = collect(rows, session_id, read_row)
-    refuse_unreadable(path, frames, rejects, "seq/frame00001.png X Y Z W P Q R, and reconstruction.nvm")
-    named = {path.parent / line.strip().partition(" ")[0] for _, (_, line) in rows}
-    rejects += unused(session_id, images_in(path), named, "image isn't in dataset_train.txt or dataset_test.txt")
-    return RawSession(
-        session_id,
-        FORMAT.id,
+    frames, rejects = read_rows(rows, read_row)
+    return Recording(
         "Cambridge Landmarks",
         Clock.NAME_ORDER,
         path,
@@ -112,7 +104,7 @@ def _focal_lengths(file: Path, folder: str, limits: Limits) -> dict[str, float]:
         fields = line.split()
         # A camera's row: name, focal length, quaternion, centre, radial distortion, 0.
         if len(fields) == 11 and fields[0].startswith(f"{folder}/"):
-            value = float(fields[1]) if re.fullmatch(r"[0-9.]+(e[+-]?\d+)?", fields[1]) else np.nan
+            value = float(fields[1]) if re.fullmatch(r"[0-9.]+(e[+-]?\d+)?", fields[1]) else math.nan
             by_name[Path(fields[0]).stem] = value
     return by_name
 
@@ -149,6 +141,7 @@ FORMAT = Format(
     id="cambridge",
     label="Cambridge Landmarks",
     meaning="images, reference poses",
+    files=("dataset_train.txt|dataset_test.txt", "reconstruction.nvm"),
     looks_for="a folder of images beside dataset_train.txt and reconstruction.nvm",
     detect=detect,
     read=read,

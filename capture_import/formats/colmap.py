@@ -12,7 +12,8 @@ Documented at https://colmap.github.io/format.html. What matters:
 - `test.txt`, which our exports write, says which images are for testing;
 - frames have no times, and the order of names isn't one of time.
 
-The poses are a reference, not VIO. Each folder of images in the images' folder is a recording.
+The poses are a reference, not VIO. Each folder of images in the images' folder is a recording. Models aren't read by
+pycolmap, as it may hang over a damaged one.
 """
 
 import contextlib
@@ -27,26 +28,24 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import in_order
-from groundwalk.capture_import.image_folders import (
+from groundwalk.capture_import.image_files import (
     data_set_of,
+    in_order,
     is_metric_export,
-    lost_rows,
+    notes_on_missing_folders,
     rows_of,
-    sides,
-    unnamed_images,
+    stated_splits,
 )
 from groundwalk.capture_import.parsing import (
     BadRow,
-    collect,
     fisheye_intrinsics,
     inside,
     lines_of,
     numbered_lines,
     quaternion_pose,
-    refuse_unreadable,
+    read_rows,
     seconds_to_ns,
     split_numbers,
 )
@@ -162,61 +161,54 @@ def detect(path: Path) -> bool:
     return images is not None and images.is_dir()
 
 
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     """Read the images of one recording."""
     data_set = data_set_of(path, _images_of) or path
     ours = is_metric_export(data_set)
     folders = _model_folders(data_set)
     content = _data_set(data_set, folders, limits, _written(data_set, folders))
     largest, *others = content.models
-    models = [largest, *others] if ours else [largest]
-    listed: dict[str, tuple[_Image, _Camera | None]] = {}
-    for folder in models:
-        cameras, images = content.models[folder]
-        listed |= {f"{folder.name} {i.name}": (i, cameras.get(i.camera)) for i in images}
-    named = []
-    for source, (image, _) in listed.items():
-        try:
-            named.append((source, inside(content.images, image.name)))
-        except BadRow as error:
-            raise UserError("an image of the model leads elsewhere", where=data_set, found=error) from None
+    images: dict[str, tuple[_Image, _Camera | None]] = {}
+    for folder in [largest, *others] if ours else [largest]:
+        cameras, listed = content.models[folder]
+        images |= {f"{folder.name} {i.name}": (i, cameras.get(i.camera)) for i in listed}
+    try:
+        named = [(source, inside(content.images, image.name)) for source, (image, _) in images.items()]
+    except BadRow as error:
+        raise UserError("an image of the model leads elsewhere", where=data_set, found=error) from None
+    rows = rows_of(data_set, path, named)
+    test_list = data_set / "test.txt"  # our exports write it
+    tested = {content.images / line for _, line in lines_of(test_list, limits)} if test_list.is_file() else set()
+    split_of = stated_splits([file for _, file in rows], tested)
 
-    def read_row(source: str, row: tuple[int, Path]) -> RawFrame:
-        (index, file), (image, camera) = row, listed[source]
+    def read_row(number: int, source: str, file: Path) -> RawFrame:
+        image, camera = images[source]
         if camera is None:
             raise BadRow(f"the model has no camera {image.camera}")
         cam_T_world = quaternion_pose(image.translation, image.xyzw)
         if not (np.abs(cam_T_world) < 1e100).all():
             raise BadRow("pose has a value that isn't finite or is too large")
         return RawFrame(
-            number=index,
+            number=number,
             source=source,
-            t_ns=seconds_to_ns(index),
+            t_ns=seconds_to_ns(number),
             vio_T_cam=inverse(cam_T_world),
             image=ImageFile(file),
             intrinsics=_intrinsics(camera),
-            split=split.get(file),
+            split=split_of.get(file),
         )
 
-    rows = rows_of(data_set, path, named)
-    split = sides([file for _, file in rows], _tested(data_set, content.images, limits))
-    frames, rejects = collect([(s, (i, file)) for i, (s, file) in enumerate(rows)], session_id, read_row)
-    refuse_unreadable(path, frames, rejects, "images of the model in this folder")
-    notes = lost_rows(named)
-    if not ours:
-        notes += _other_models(content, data_set)
-    return RawSession(
-        session_id,
-        FORMAT.id,
+    frames, rejects = read_rows(rows, read_row)
+    return Recording(
         "unknown",
         Clock.NAME_ORDER,
         path,
         frames,
-        [*rejects, *unnamed_images(session_id, [file for _, file in rows])],
+        rejects,
         pose_source=PoseSource.REFERENCE,
         is_gravity_aligned=ours,
         is_metric=ours,
-        notes=notes,
+        notes=[*notes_on_missing_folders(named), *([] if ours else _other_models(content, data_set))],
     )
 
 
@@ -232,12 +224,6 @@ def _other_models(content: _DataSet, data_set: Path) -> list[str]:
         f"{largest.relative_to(data_set)} is read, the model with most images ({len(images)}); each has a world of its "
         f"own, so these aren't: {listed}"
     ]
-
-
-def _tested(data_set: Path, images: Path, limits: Limits) -> set[Path]:
-    """The images that test.txt lists, which our exports write."""
-    file = data_set / "test.txt"
-    return {images / line for _, line in lines_of(file, limits)} if file.is_file() else set()
 
 
 def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[_Image]]:
@@ -349,6 +335,7 @@ FORMAT = Format(
     id="colmap",
     label="COLMAP model",
     meaning="images, reference poses",
+    files=("sparse/*/images.*|sparse/images.*|images.bin|images.txt", "images/|*/*.jpg|*/*.png"),
     looks_for="cameras and images (.bin or .txt) in sparse/0/, beside the folder of images",
     detect=detect,
     read=read,

@@ -11,21 +11,11 @@ The first line says what the recording is, each other line is one instant:
 from pathlib import Path
 from typing import Any
 
-from groundwalk.capture_import.capture import (
-    DepthFile,
-    ImageFile,
-    Intrinsics,
-    Limits,
-    RawFrame,
-    RawSession,
-    Reject,
-)
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import in_order, is_image, size_notes, unused
 from groundwalk.capture_import.parsing import (
     MAX_NS,
     BadRow,
-    collect,
     inside,
     lines_of,
     number,
@@ -33,7 +23,7 @@ from groundwalk.capture_import.parsing import (
     optional_number,
     optional_size,
     parse_json,
-    refuse_unreadable,
+    read_rows,
     row_major_pose,
     to_number,
 )
@@ -45,25 +35,20 @@ _VERSION = 1
 _CLOCKS = [clock for clock in Clock if clock.has_times]
 
 
-def detect(path: Path) -> bool:
-    """A folder with frames.jsonl."""
-    return (path / "frames.jsonl").is_file()
-
-
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     """Read the header and the rows."""
     lines = lines_of(path / "frames.jsonl", limits)
     header = _header(path, lines[0][1] if lines else "")
 
-    def read_row(source: str, line: tuple[int, str]) -> RawFrame:
-        index, text = line
-        row = parse_json(text)
+    def read_row(index: int, source: str, line: str) -> RawFrame:
+        row = parse_json(line)
         t_ns = row.get("t_ns")
         if not isinstance(t_ns, int) or abs(t_ns) > MAX_NS:
             raise BadRow("t_ns is no whole number of nanoseconds")
         tracking = row.get("tracking", Tracking.UNKNOWN)
         if tracking not in [*Tracking]:
             raise BadRow(f"tracking is none of {', '.join(Tracking)}")
+        depth, confidence = row.get("depth"), row.get("depth_confidence")
         return RawFrame(
             number=index,
             source=source,
@@ -73,24 +58,13 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             intrinsics=_intrinsics(row) if row.get("image") is not None else None,
             tracking=Tracking(tracking),
             exposure_s=optional_number(row, "exposure_s"),
-            depth=_depth(path, row) if row.get("depth") is not None else None,
+            depth=None
+            if depth is None
+            else DepthFile(inside(path, depth), None if confidence is None else inside(path, confidence)),
         )
 
-    rows = [(source, (i, line)) for i, (source, line) in enumerate(lines[1:])]
-    frames, rejects = collect(rows, session_id, read_row)
-    refuse_unreadable(path, frames, rejects, "rows with t_ns, vio_T_cam, image and intrinsics")
-    rejects += _unnamed(path, session_id, frames)
-    return RawSession(
-        session_id, FORMAT.id, folder=path, frames=frames, rejects=rejects, notes=size_notes(frames), **header
-    )
-
-
-def _unnamed(path: Path, session_id: str, frames: list[RawFrame]) -> list[Reject]:
-    """The images of a recording that no row which can be read names."""
-    named = {frame.image.path for frame in frames if frame.image}
-    named |= {file for f in frames if f.depth for file in (f.depth.path, f.depth.confidence) if file}
-    images = in_order(p for p in path.rglob("*") if is_image(p))
-    return unused(session_id, images, named, "image isn't named by a row that can be read", root=path)
+    frames, rejects = read_rows(lines[1:], read_row)
+    return Recording(folder=path, frames=frames, rejects=rejects, **header)
 
 
 def _header(path: Path, line: str) -> dict[str, Any]:
@@ -125,11 +99,6 @@ def _header(path: Path, line: str) -> dict[str, Any]:
     return values
 
 
-def _depth(path: Path, row: dict[str, Any]) -> DepthFile:
-    confidence = row.get("depth_confidence")
-    return DepthFile(inside(path, row["depth"]), None if confidence is None else inside(path, confidence))
-
-
 def _intrinsics(row: dict[str, Any]) -> Intrinsics:
     distortion = row.get("distortion", [])
     if not isinstance(distortion, list):
@@ -143,7 +112,6 @@ FORMAT = Format(
     id="frames_jsonl",
     label="frames.jsonl (our own)",
     meaning="images, VIO, depth",
-    looks_for="frames.jsonl",
-    detect=detect,
+    files=("frames.jsonl",),
     read=read,
 )

@@ -12,71 +12,52 @@ Documented at https://github.com/Varvrar/ios_logger (README, "Dataset format"). 
 
 from pathlib import Path
 
-from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
+from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, Recording, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
 from groundwalk.capture_import.media.video import require_row_per_frame
 from groundwalk.capture_import.parsing import (
-    BadRow,
-    collect,
     from_arkit,
     lines_of,
     quaternion_pose,
-    refuse_unreadable,
+    read_rows,
     seconds_to_ns,
     split_numbers,
 )
 from groundwalk.store.choices import Clock
 
 
-def detect(path: Path) -> bool:
-    """A folder with ARposes.txt, Frames.txt and Frames.m4v."""
-    return all((path / name).is_file() for name in ("ARposes.txt", "Frames.txt", "Frames.m4v"))
-
-
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     """Read poses and images and join them by time; images and video frames belong together by number."""
-    poses, rejects = collect(lines_of(path / "ARposes.txt", limits), session_id, _read_pose)
-    refuse_unreadable(path, poses, rejects, "time, x, y, z, qw, qx, qy, qz")
+    poses, rejects = read_rows(lines_of(path / "ARposes.txt", limits), _read_pose)
     rows = lines_of(path / "Frames.txt", limits)
     video = path / "Frames.m4v"
     require_row_per_frame(video, "Frames.txt", len(rows), limits)
 
-    def read_image(source: str, row: tuple[int, str]) -> RawFrame:
-        index, line = row
-        values = split_numbers(line, ",")
-        if len(values) != 6:
-            raise BadRow(f"row has {len(values)} numbers, not 6")
+    def read_image(index: int, source: str, line: str) -> RawFrame:
+        time_s, _, *camera = split_numbers(line, 6, ",")
         return RawFrame(
             number=index,
             source=source,
-            t_ns=seconds_to_ns(values[0]),
+            t_ns=seconds_to_ns(time_s),
             vio_T_cam=None,
             image=VideoFrame(video, index),
-            intrinsics=Intrinsics.of(values[2:]),
+            intrinsics=Intrinsics.of(camera),
         )
 
-    indexed = [(source, (i, line)) for i, (source, line) in enumerate(rows)]
-    images, more = collect(indexed, session_id, read_image)
-    return RawSession(
-        session_id, FORMAT.id, "iOS, ios_logger", Clock.UNIX, path, join_by_time(poses, images), [*rejects, *more]
-    )
+    images, more = read_rows(rows, read_image)
+    return Recording("iOS, ios_logger", Clock.UNIX, path, join_by_time(poses, images), [*rejects, *more])
 
 
-def _read_pose(source: str, line: str) -> RawFrame:
-    values = split_numbers(line, ",")
-    if len(values) != 8:
-        raise BadRow(f"row has {len(values)} numbers, not 8")
-    t, x, y, z, qw, qx, qy, qz = values
-    pose = from_arkit(quaternion_pose([x, y, z], [qx, qy, qz, qw]))
-    return RawFrame(number=0, source=source, t_ns=seconds_to_ns(t), vio_T_cam=pose)
+def _read_pose(number: int, source: str, line: str) -> RawFrame:
+    time_s, x, y, z, qw, qx, qy, qz = split_numbers(line, 8, ",")
+    return RawFrame(number, source, seconds_to_ns(time_s), from_arkit(quaternion_pose([x, y, z], [qx, qy, qz, qw])))
 
 
 FORMAT = Format(
     id="ios_logger",
     label="ios_logger",
     meaning="video, VIO",
-    looks_for="ARposes.txt, Frames.txt and Frames.m4v",
-    detect=detect,
+    files=("ARposes.txt", "Frames.txt", "Frames.m4v"),
     read=read,
 )

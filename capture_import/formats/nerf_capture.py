@@ -14,20 +14,18 @@ A transforms.json without times has poses from SfM: that's the format `nerfstudi
 from pathlib import Path
 from typing import Any
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import images_in, unused
 from groundwalk.capture_import.joining import join_by_time
 from groundwalk.capture_import.parsing import (
     BadRow,
-    collect,
     first_bytes,
     from_arkit,
     inside,
     json_of,
     number,
     numbers,
-    refuse_unreadable,
+    read_rows,
     row_major_pose,
     seconds_to_ns,
     whole,
@@ -36,15 +34,13 @@ from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 from groundwalk.store.hints import setting_of
 
-_TIME = b'"timestamp"'
-
 
 def detect(path: Path) -> bool:
     """A folder with images and a transforms.json that has a time in its first bytes."""
-    return (path / "images").is_dir() and _TIME in first_bytes(path / "transforms.json")
+    return (path / "images").is_dir() and b'"timestamp"' in first_bytes(path / "transforms.json")
 
 
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     """Read the frames and put them in the order of time."""
     rows = json_of(path / "transforms.json", limits).get("frames")
     if not isinstance(rows, list) or not any(isinstance(row, dict) and "timestamp" in row for row in rows):
@@ -57,14 +53,14 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             + setting_of("import", 'format = "nerfstudio"'),
         )
 
-    def read_row(source: str, row: Any) -> RawFrame:
+    def read_row(index: int, source: str, row: Any) -> RawFrame:
         if not isinstance(row, dict):
             raise BadRow("frame is no object")
         image = inside(path, row.get("file_path"))
         if not image.suffix or not image.exists():
             image = image.with_name(image.name + ".png")
         return RawFrame(
-            number=0,
+            number=index,
             source=source,
             t_ns=seconds_to_ns(number(row, "timestamp"), "timestamp"),
             vio_T_cam=from_arkit(row_major_pose(numbers(row, "transform_matrix", 16))),
@@ -76,19 +72,16 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             ),
         )
 
-    frames, rejects = collect([(f"frame {i}", row) for i, row in enumerate(rows)], session_id, read_row)
-    refuse_unreadable(path, frames, rejects, "timestamp, transform_matrix, fl_x, fl_y, cx, cy, w, h, file_path")
-    used = {frame.image.path for frame in frames if frame.image}
-    images = [p for p in images_in(path / "images") if not p.stem.endswith(".depth")]
-    rejects += unused(session_id, images, used, "image isn't named by a frame that can be read")
-    return RawSession(session_id, FORMAT.id, "iOS, NeRFCapture", Clock.BOOT, path, join_by_time([], frames), rejects)
+    frames, rejects = read_rows([(f"frame {i}", row) for i, row in enumerate(rows)], read_row)
+    return Recording("iOS, NeRFCapture", Clock.BOOT, path, join_by_time([], frames), rejects)
 
 
 FORMAT = Format(
     id="nerf_capture",
     label="NeRFCapture",
     meaning="images, VIO",
-    looks_for="transforms.json with times, and images/",
+    files=("transforms.json", "images/"),
     detect=detect,
+    looks_for="transforms.json with times, and images/",
     read=read,
 )

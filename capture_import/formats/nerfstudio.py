@@ -24,20 +24,20 @@ from typing import Any
 
 import numpy as np
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording, Reject
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import SUFFIXES, is_image, size_notes, size_of
-from groundwalk.capture_import.image_folders import (
+from groundwalk.capture_import.image_files import (
+    SUFFIXES,
     data_set_of,
+    is_image,
     is_metric_export,
-    lost_rows,
+    notes_on_missing_folders,
     rows_of,
-    sides,
-    unnamed_images,
+    size_of,
+    stated_splits,
 )
 from groundwalk.capture_import.parsing import (
     BadRow,
-    collect,
     first_bytes,
     fisheye_intrinsics,
     from_arkit,
@@ -46,7 +46,7 @@ from groundwalk.capture_import.parsing import (
     number,
     numbers,
     optional_size,
-    refuse_unreadable,
+    read_rows,
     row_major_pose,
     seconds_to_ns,
 )
@@ -77,62 +77,62 @@ def detect(path: Path) -> bool:
     return data_set_of(path, _images_of) is not None
 
 
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     """Read the frames of one recording."""
     data_set = data_set_of(path, _images_of) or path
-    log, *more = [data_set / name for name in _FILES if _is_log(data_set / name)]
-    by_source: dict[str, Any] = {}
-    images, nameless, tested = [], [], set()
-    for file in [log] if log.name == _FILES[0] else [log, *more]:
+    logs = [data_set / name for name in _FILES if _is_log(data_set / name)]
+    row_of: dict[str, tuple[Array, dict[str, Any]]] = {}
+    named: list[tuple[str, Path]] = []
+    nameless: list[Reject] = []
+    tested: set[Path] = set()
+    for file in logs[:1] if logs[0].name == _FILES[0] else logs:
         content = json_of(file, limits)
-        listed = content.get("frames")
-        if not isinstance(listed, list):
+        frames = content.get("frames")
+        if not isinstance(frames, list):
             raise UserError(f"{file.name} has no frames", where=file, expected="frames: a list")
-        world = _undo(content, file)
-        for i, row in enumerate(listed):
+        world_T_file = _undo(content, file)
+        for i, row in enumerate(frames):
             source = f"frame {i}" if file.name == _FILES[0] else f"{file.stem} frame {i}"
             try:
                 image = _image(data_set, row)
             except BadRow as error:
-                nameless.append(Reject(session_id, source, None, f"names no image: {error}"))
+                nameless.append(Reject(source, None, f"names no image: {error}"))
                 continue
-            images.append((source, image))
-            by_source[source] = (world, content | row)
-            tested |= {image} if file.name == _TEST_FILE else set()
-        tested |= _tested(data_set, content)
-    rows = rows_of(data_set, path, images)
-    split = sides([image for _, image in rows], tested)
+            named.append((source, image))
+            row_of[source] = (world_T_file, content | row)
+            if file.name == _TEST_FILE:
+                tested.add(image)
+        listed = content.get("test_filenames")
+        tested |= {data_set / n for n in listed if isinstance(n, str)} if isinstance(listed, list) else set()
+    rows = rows_of(data_set, path, named)
+    split_of = stated_splits([image for _, image in rows], tested)
 
-    def read_row(source: str, row: tuple[int, Path]) -> RawFrame:
-        (index, image), (world_T_file, camera) = row, by_source[source]
+    def read_row(number: int, source: str, image: Path) -> RawFrame:
+        world_T_file, row = row_of[source]
         return RawFrame(
-            number=index,
+            number=number,
             source=source,
-            t_ns=seconds_to_ns(index),
-            vio_T_cam=world_T_file @ from_arkit(_pose(camera)),
+            t_ns=seconds_to_ns(number),
+            vio_T_cam=world_T_file @ from_arkit(_pose(row)),
             image=ImageFile(image),
-            intrinsics=_intrinsics(camera, image),
-            split=split.get(image),
+            intrinsics=_intrinsics(row, image),
+            split=split_of.get(image),
         )
 
-    frames, unread = collect([(s, (i, image)) for i, (s, image) in enumerate(rows)], session_id, read_row)
-    refuse_unreadable(path, frames, unread, "file_path, transform_matrix, fl_x, fl_y, cx, cy, w, h")
-    ours = is_metric_export(data_set)
+    read_frames, rejects = read_rows(rows, read_row)
     # Rows without an image are of no folder: they are listed once, with the first image's recording.
-    unread += nameless if images and images[0] in rows else []
-    unread += unnamed_images(session_id, [image for _, image in rows])
-    return RawSession(
-        session_id,
-        FORMAT.id,
+    rejects += nameless if named and named[0] in rows else []
+    ours = is_metric_export(data_set)
+    return Recording(
         "unknown",
         Clock.NAME_ORDER,
         path,
-        frames,
-        unread,
+        read_frames,
+        rejects,
         pose_source=PoseSource.REFERENCE,
         is_gravity_aligned=ours,
         is_metric=ours,
-        notes=[*lost_rows(images), *_assumptions([by_source[source][1] for source, _ in rows]), *size_notes(frames)],
+        notes=[*notes_on_missing_folders(named), *_assumptions([row_of[source][1] for source, _ in rows])],
     )
 
 
@@ -148,11 +148,6 @@ def _image(data_set: Path, row: Any) -> Path:
     names = [image.name + end for suffix in SUFFIXES for end in (suffix, suffix.upper())]
     there = [image.with_name(name) for name in names if image.with_name(name).is_file()]
     return there[0] if there else image.with_name(image.name + ".png")
-
-
-def _tested(data_set: Path, content: dict[str, Any]) -> set[Path]:
-    names = content.get("test_filenames")
-    return {data_set / name for name in names if isinstance(name, str)} if isinstance(names, list) else set()
 
 
 def _pose(row: dict[str, Any]) -> Array:
@@ -227,6 +222,7 @@ FORMAT = Format(
     id="nerfstudio",
     label="nerfstudio transforms.json",
     meaning="images, reference poses",
+    files=("|".join(_FILES),),
     looks_for="transforms.json without times, or transforms_train.json and transforms_test.json",
     detect=detect,
     read=read,

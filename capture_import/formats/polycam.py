@@ -12,49 +12,37 @@ Documented at https://github.com/PolyCam/polyform (README, "Polycam's data forma
 
 from pathlib import Path
 
-from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import by_stem, images_in, size_notes, unused
+from groundwalk.capture_import.image_files import by_stem, images_in
 from groundwalk.capture_import.parsing import (
+    MAX_NS,
     BadRow,
-    collect,
     from_arkit,
     number,
     optional_size,
     parse_json,
+    read_rows,
     read_text,
-    refuse_unreadable,
     row_major_pose,
 )
 from groundwalk.store.choices import Clock
 
-_MAX_FRAME_BYTES = 1 << 20
-_LATEST_US = 2**62 // 1000
 
-
-def detect(path: Path) -> bool:
-    """A folder with keyframes/cameras and keyframes/images."""
-    return (path / "keyframes" / "cameras").is_dir() and (path / "keyframes" / "images").is_dir()
-
-
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     """Read the camera files in the order of their times and join images by name."""
-    cameras, images = path / "keyframes" / "cameras", path / "keyframes" / "images"
+    cameras = path / "keyframes" / "cameras"
     files = sorted((p for p in cameras.glob("*.json") if p.stem.isdecimal()), key=lambda p: int(p.stem))
-    image_of = by_stem(images_in(images))
-    rows = [(f"cameras/{file.name}", (i, file, image_of.get(file.stem))) for i, file in enumerate(files)]
-    frames, rejects = collect(rows, session_id, _read_row)
-    refuse_unreadable(path, frames, rejects, "keyframes/cameras/<microseconds>.json with t_00 .. t_23, fx, fy, cx, cy")
-    used = {image for _, (_, _, image) in rows}
-    rejects += unused(session_id, images_in(images), used, "image has no camera file of its own with its name")
-    notes = size_notes(frames)
-    return RawSession(session_id, FORMAT.id, "iOS, Polycam", Clock.BOOT, path, frames, rejects, notes=notes)
+    image_of = by_stem(images_in(path / "keyframes" / "images"))
+    rows = [(f"cameras/{file.name}", (file, image_of.get(file.stem))) for file in files]
+    frames, rejects = read_rows(rows, _read_row)
+    return Recording("iOS, Polycam", Clock.BOOT, path, frames, rejects)
 
 
-def _read_row(source: str, row: tuple[int, Path, Path | None]) -> RawFrame:
-    index, file, image = row
-    camera = parse_json(read_text(file, _MAX_FRAME_BYTES))
-    if int(file.stem) > _LATEST_US:
+def _read_row(index: int, source: str, row: tuple[Path, Path | None]) -> RawFrame:
+    file, image = row
+    camera = parse_json(read_text(file))
+    if int(file.stem) > MAX_NS // 1000:
         raise BadRow(f"name {file.stem} is no time")
     entries = [number(camera, f"t_{i}{j}") for i in range(3) for j in range(4)]
     return RawFrame(
@@ -67,9 +55,7 @@ def _read_row(source: str, row: tuple[int, Path, Path | None]) -> RawFrame:
             (number(camera, key) for key in ("fx", "fy", "cx", "cy")),
             *optional_size(camera, "width", "height"),
         ),
-        depth=DepthFile.if_there(
-            *(file.parents[1] / kind / f"{file.stem}.png" for kind in ("depth", "confidence")),
-        ),
+        depth=DepthFile.if_there(*(file.parents[1] / kind / f"{file.stem}.png" for kind in ("depth", "confidence"))),
     )
 
 
@@ -77,7 +63,6 @@ FORMAT = Format(
     id="polycam",
     label="Polycam raw",
     meaning="images, VIO, depth",
-    looks_for="keyframes/cameras and keyframes/images",
-    detect=detect,
+    files=("keyframes/cameras/", "keyframes/images/"),
     read=read,
 )

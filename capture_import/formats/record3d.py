@@ -15,19 +15,18 @@ https://github.com/marek-simonik/record3d. What matters:
 from pathlib import Path
 from typing import Any
 
-from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import by_stem, images_in, unused
+from groundwalk.capture_import.image_files import by_stem, images_in
 from groundwalk.capture_import.media.float_depth import missing_decoder
 from groundwalk.capture_import.parsing import (
     BadRow,
-    collect,
     from_arkit,
     json_of,
     number,
     numbers,
     quaternion_pose,
-    refuse_unreadable,
+    read_rows,
     seconds_to_ns,
     to_number,
     whole,
@@ -36,15 +35,10 @@ from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 
 
-def detect(path: Path) -> bool:
-    """A folder with metadata beside a folder rgbd or rgb."""
-    return _metadata(path) is not None and _images(path) is not None
-
-
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     """Read the poses and join them to images by number."""
-    metadata, images = _metadata(path), _images(path)
-    assert metadata is not None and images is not None  # detect() has seen them
+    metadata = path / "metadata" if (path / "metadata").is_file() else path / "metadata.json"
+    images = path / "rgbd" if (path / "rgbd").is_dir() else path / "rgb"
     content = json_of(metadata, limits)
     poses = content.get("poses")
     if not isinstance(poses, list):
@@ -54,8 +48,8 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     files = {int(stem): image for stem, image in by_stem(images_in(images)).items() if stem.isdecimal()}
     depths, missing = _depths(path, images)
 
-    def read_row(source: str, index: int) -> RawFrame:
-        qx, qy, qz, qw, *t = numbers({source: poses[index]}, source, 7)
+    def read_row(index: int, source: str, pose: Any) -> RawFrame:
+        qx, qy, qz, qw, *t = numbers({source: pose}, source, 7)
         return RawFrame(
             number=index,
             source=source,
@@ -66,23 +60,12 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             depth=depths.get(index),
         )
 
-    frames, rejects = collect([(f"pose {i}", i) for i in range(len(poses))], session_id, read_row)
-    refuse_unreadable(path, frames, rejects, "poses of 7 numbers, K, w, h, and frameTimestamps or fps")
-    used = {image for index, image in files.items() if index < len(poses)}
-    rejects += unused(session_id, images_in(images), used, "image has no pose of its number")
+    frames, rejects = read_rows([(f"pose {i}", pose) for i, pose in enumerate(poses)], read_row)
     notes = [f"its depth isn't read: {missing}"] if missing else []
     if len(files) != len(poses):
         notes.append(f"{len(files)} images and {len(poses)} poses: joined by number")
     clock = Clock.VIDEO if isinstance(times, list) else Clock.FRAME_INDEX
-    return RawSession(session_id, FORMAT.id, "iOS, Record3D", clock, path, frames, rejects, notes=notes)
-
-
-def _metadata(path: Path) -> Path | None:
-    return next((p for name in ("metadata", "metadata.json") if (p := path / name).is_file()), None)
-
-
-def _images(path: Path) -> Path | None:
-    return next((p for name in ("rgbd", "rgb") if (p := path / name).is_dir()), None)
+    return Recording("iOS, Record3D", clock, path, frames, rejects, notes=notes)
 
 
 def _depths(path: Path, images: Path) -> tuple[dict[int, DepthFile], str | None]:
@@ -118,7 +101,7 @@ FORMAT = Format(
     id="record3d",
     label="Record3D",
     meaning="images, VIO, depth",
+    files=("metadata|metadata.json", "rgbd/|rgb/"),
     looks_for="name.r3d, or metadata with rgbd/ or rgb/",
-    detect=detect,
     read=read,
 )

@@ -15,36 +15,33 @@ What matters:
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
+from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, Recording, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
 from groundwalk.capture_import.media.video import frame_times
 from groundwalk.capture_import.parsing import (
     BadRow,
-    collect,
     from_arkit,
     lines_of,
     quaternion_pose,
-    refuse_unreadable,
+    read_rows,
     seconds_to_ns,
     to_number,
 )
 from groundwalk.store.choices import Clock, Tracking
 
 
-def detect(path: Path) -> bool:
-    """A folder with poses.txt and images.mp4."""
-    return (path / "poses.txt").is_file() and (path / "images.mp4").is_file()
-
-
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     """Read the rows and join them to the video's frames by time."""
-    frames, rejects = collect(lines_of(path / "poses.txt", limits), session_id, _read_row)
-    refuse_unreadable(path, frames, rejects, "timestamp, status, tx .. tz, qx .. qw, w, h, fx, fy, cx, cy")
+    frames, rejects = read_rows(lines_of(path / "poses.txt", limits), _read_row)
+    if not frames:
+        return Recording("iOS, ScanCapture", Clock.BOOT, path, frames, rejects)
     video = path / "images.mp4"
     times = np.array([row.t_ns for row in frames], dtype=np.int64)
+    video_ns = frame_times(video, limits)
+    if not times.min() - 10**9 <= video_ns[0] <= times.max():  # it counts from the first image
+        video_ns = video_ns - video_ns[0] + times[0]
     images = [
         RawFrame(
             number=i,
@@ -54,14 +51,12 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             image=VideoFrame(video, i),
             intrinsics=frames[int(np.argmin(np.abs(times - t)))].intrinsics,
         )
-        for i, t in enumerate(_on_clock(frame_times(video, limits), times))
+        for i, t in enumerate(video_ns)
     ]
-    return RawSession(
-        session_id, FORMAT.id, "iOS, ScanCapture", Clock.BOOT, path, join_by_time(frames, images), rejects
-    )
+    return Recording("iOS, ScanCapture", Clock.BOOT, path, join_by_time(frames, images), rejects)
 
 
-def _read_row(source: str, line: str) -> RawFrame:
+def _read_row(number: int, source: str, line: str) -> RawFrame:
     fields = [field.strip() for field in line.split(",")]
     if len(fields) not in (15, 16):
         raise BadRow(f"row has {len(fields)} fields, not 15 or 16")
@@ -69,7 +64,7 @@ def _read_row(source: str, line: str) -> RawFrame:
         to_number(field, "value") for i, field in enumerate(fields) if i != 1
     )
     return RawFrame(
-        number=0,
+        number=number,
         source=source,
         t_ns=seconds_to_ns(us * 1e-6),
         vio_T_cam=from_arkit(quaternion_pose([tx, ty, tz], [qx, qy, qz, qw])),
@@ -94,17 +89,10 @@ def _tracking(status: str) -> Tracking:
     return Tracking.LOST if lowered.startswith("not") else Tracking.UNKNOWN
 
 
-def _on_clock(video_ns: NDArray[np.int64], pose_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Video times on the poses' clock."""
-    absolute = pose_ns.min() - 10**9 <= video_ns[0] <= pose_ns.max()
-    return video_ns if absolute else video_ns - video_ns[0] + pose_ns[0]
-
-
 FORMAT = Format(
     id="scan_capture",
     label="ScanCapture (LaMAR)",
     meaning="video, VIO",
-    looks_for="poses.txt and images.mp4",
-    detect=detect,
+    files=("poses.txt", "images.mp4"),
     read=read,
 )

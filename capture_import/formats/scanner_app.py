@@ -17,64 +17,44 @@ Latitude and longitude may be in `info.json` and the frames; they're never read.
 import re
 from pathlib import Path
 
-from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording, Reject
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import by_stem, images_in, unused
+from groundwalk.capture_import.image_files import by_stem, images_in
 from groundwalk.capture_import.parsing import (
     BadRow,
-    collect,
     from_arkit,
     number,
     numbers,
     optional_number,
     parse_json,
+    read_rows,
     read_text,
-    refuse_unreadable,
     row_major_pose,
     seconds_to_ns,
 )
 from groundwalk.store.choices import Clock
 
 _FRAME = re.compile(r"frame_(\d{1,9})\.json")
-_DEPTH = re.compile(r"(depth|conf)_\d{1,9}\.png")
-_MAX_FRAME_BYTES = 1 << 20
 
 
-def detect(path: Path) -> bool:
-    """A folder with `frame_<digits>.json` files."""
-    return path.is_dir() and any(_FRAME.fullmatch(p.name) for p in path.iterdir())
-
-
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     """Read the JSON files of one recording; those that can't be read become rejects."""
     numbered = sorted((int(m[1]), p) for p in path.iterdir() if (m := _FRAME.fullmatch(p.name)))
     files = dict(reversed(numbered))
-    images = [p for p in images_in(path) if not _DEPTH.fullmatch(p.name)]
-    image_of = by_stem(images)
-    rows = [(files[index].name, (files[index], index, image_of.get(files[index].stem))) for index in sorted(files)]
-    frames, rejects = collect(rows, session_id, _read_frame)
-    refuse_unreadable(path, frames, rejects, "frame_XXXXX.json with time, cameraPoseARFrame and intrinsics")
+    image_of = by_stem(images_in(path))
+    rows = [(file.name, (file, index, image_of.get(file.stem))) for index, file in sorted(files.items())]
+    frames, rejects = read_rows(rows, _read_frame)
     rejects += [
-        Reject(session_id, file.name, None, f"{files[index].name} has the same frame number")
+        Reject(file.name, None, f"{files[index].name} has the same frame number")
         for index, file in numbered
         if file != files[index]
     ]
-    used = {image for _, (_, _, image) in rows}
-    rejects += unused(session_id, images, used, "image has no JSON file of its own with its name")
-    return RawSession(
-        session_id=session_id,
-        format=FORMAT.id,
-        device=_device(path),
-        clock=Clock.BOOT,
-        folder=path,
-        frames=frames,
-        rejects=rejects,
-    )
+    return Recording(_device(path), Clock.BOOT, path, frames, rejects)
 
 
-def _read_frame(source: str, row_file: tuple[Path, int, Path | None]) -> RawFrame:
+def _read_frame(_: int, source: str, row_file: tuple[Path, int, Path | None]) -> RawFrame:
     path, index, image = row_file
-    row = parse_json(read_text(path, _MAX_FRAME_BYTES))
+    row = parse_json(read_text(path))
     digits = path.stem.removeprefix("frame_")
     return RawFrame(
         number=index,
@@ -104,7 +84,7 @@ def _pixels(value: float) -> int | None:
 
 def _device(path: Path) -> str:
     try:
-        info = parse_json(read_text(path / "info.json", _MAX_FRAME_BYTES))
+        info = parse_json(read_text(path / "info.json"))
     except BadRow:
         return "unknown"
     version = info.get("appVersionString")
@@ -115,7 +95,7 @@ FORMAT = Format(
     id="3d_scanner_app",
     label="3D Scanner App",
     meaning="images, VIO, depth",
+    files=("frame_[0-9]*.json",),
     looks_for="frame_XXXXX.json with frame_XXXXX.jpg for some of them",
-    detect=detect,
     read=read,
 )

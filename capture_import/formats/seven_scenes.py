@@ -15,14 +15,13 @@ Documented at https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-s
 import re
 from pathlib import Path
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import by_stem, images_in, unused
+from groundwalk.capture_import.image_files import by_stem, images_in
 from groundwalk.capture_import.parsing import (
     BadRow,
-    collect,
+    read_rows,
     read_text,
-    refuse_unreadable,
     row_major_pose,
     seconds_to_ns,
     split_numbers,
@@ -35,20 +34,12 @@ _FRAMES_A_SECOND = 30.0
 _CAMERA = Intrinsics(525.0, 525.0, 320.0, 240.0, 640, 480)
 
 
-def detect(path: Path) -> bool:
-    """A folder with frame-<six digits>.pose.txt."""
-    return path.is_dir() and any(_POSE.fullmatch(p.name) for p in path.iterdir())
-
-
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     """Read the poses and join the colour images by number."""
     files = {int(m[1]): p for p in path.iterdir() if (m := _POSE.fullmatch(p.name))}
-    images = [p for p in images_in(path) if not p.stem.endswith(".depth")]
-    image_of = by_stem(images)
+    image_of = by_stem(images_in(path))
     rows = [(files[i].name, (i, files[i], image_of.get(f"frame-{i:06d}.color"))) for i in sorted(files)]
-    frames, rejects = collect(rows, session_id, _read_row)
-    refuse_unreadable(path, frames, rejects, "frame-000000.pose.txt with 16 numbers")
-    rejects += unused(session_id, images, {image for _, (_, _, image) in rows}, "image has no pose of its name")
+    frames, rejects = read_rows(rows, _read_row)
     split, notes = _split(path), []
     if split is None:
         notes.append(
@@ -56,9 +47,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         )
     if any(frame.intrinsics is _CAMERA for frame in frames):
         notes.append("nominal intrinsics: the colour camera wasn't calibrated")
-    return RawSession(
-        session_id,
-        FORMAT.id,
+    return Recording(
         "Kinect",
         Clock.NAME_ORDER if (path.parent / EXPORT_NOTE).is_file() else Clock.FRAME_INDEX,
         path,
@@ -71,16 +60,13 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     )
 
 
-def _read_row(source: str, row: tuple[int, Path, Path | None]) -> RawFrame:
+def _read_row(_: int, source: str, row: tuple[int, Path, Path | None]) -> RawFrame:
     index, file, image = row
-    values = split_numbers(read_text(file, 1 << 16))
-    if len(values) != 16:
-        raise BadRow(f"pose has {len(values)} numbers, not 16")
     return RawFrame(
         number=index,
         source=source,
         t_ns=seconds_to_ns(index / _FRAMES_A_SECOND),
-        vio_T_cam=row_major_pose(values),
+        vio_T_cam=row_major_pose(split_numbers(read_text(file), 16)),
         image=ImageFile(image) if image else None,
         intrinsics=_camera(file.with_name(f"frame-{index:06d}.intrinsics.txt")),
     )
@@ -89,21 +75,16 @@ def _read_row(source: str, row: tuple[int, Path, Path | None]) -> RawFrame:
 def _camera(file: Path) -> Intrinsics:
     if not file.exists():
         return _CAMERA
-    matrix = split_numbers(read_text(file, 1 << 16))
-    if len(matrix) != 9:
-        raise BadRow(f"{file.name} has {len(matrix)} numbers, not 9")
+    matrix = split_numbers(read_text(file), 9)
     return Intrinsics(matrix[0], matrix[4], matrix[2], matrix[5])
 
 
 def _split(path: Path) -> SessionSplit | None:
     number = re.search(r"(\d+)$", path.name)
-    splits: tuple[tuple[str, SessionSplit], ...] = (
-        ("TrainSplit.txt", SessionSplit.TRAIN),
-        ("TestSplit.txt", SessionSplit.TEST),
-    )
+    splits = (("TrainSplit.txt", SessionSplit.TRAIN), ("TestSplit.txt", SessionSplit.TEST))
     for name, split in splits:
         try:
-            listed = re.findall(r"sequence(\d+)", read_text(path.parent / name, 1 << 16))
+            listed = re.findall(r"sequence(\d+)", read_text(path.parent / name))
         except BadRow:
             continue
         if number and int(number[1]) in map(int, listed):
@@ -115,7 +96,7 @@ FORMAT = Format(
     id="seven_scenes",
     label="7-Scenes",
     meaning="images, reference poses",
+    files=("frame-[0-9]*.pose.txt",),
     looks_for="frame-000000.color.png and frame-000000.pose.txt",
-    detect=detect,
     read=read,
 )

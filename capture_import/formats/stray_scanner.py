@@ -16,17 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from groundwalk.capture_import.capture import DepthFile, Intrinsics, Limits, RawFrame, RawSession, VideoFrame
+from groundwalk.capture_import.capture import DepthFile, Intrinsics, Limits, RawFrame, Recording, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.media.video import frame_times
 from groundwalk.capture_import.parsing import (
     BadRow,
-    collect,
     lines_of,
     number,
     quaternion_pose,
+    read_rows,
     read_text,
-    refuse_unreadable,
     seconds_to_ns,
     split_numbers,
     whole,
@@ -38,21 +37,9 @@ _COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 _PER_FRAME = ("fx", "fy", "cx", "cy")
 
 
-def detect(path: Path) -> bool:
-    """A folder with odometry.csv."""
-    return (path / "odometry.csv").is_file()
-
-
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     """Read the rows and join them to the video's frames by number."""
     video = path / "rgb.mp4"
-    if not video.is_file():
-        raise UserError(
-            "Stray Scanner: odometry.csv is here, rgb.mp4 is not",
-            where=path,
-            expected="both, as the app writes them",
-            do="copy the recording again, with its video",
-        )
     header, *rows = lines_of(path / "odometry.csv", limits) or [("odometry.csv", "")]
     names = [name.strip() for name in header[1].split(",")]
     if missing := [name for name in _COLUMNS if name not in names]:
@@ -62,7 +49,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     per_frame = all(name in names for name in _PER_FRAME)
     shared = None if per_frame else _camera_matrix(path)
 
-    def read_row(source: str, line: str) -> RawFrame:
+    def read_row(_: int, source: str, line: str) -> RawFrame:
         row: dict[str, Any] = dict(zip(names, next(csv.reader([line], skipinitialspace=True)), strict=False))
         index = whole(row, "frame")
         return RawFrame(
@@ -75,19 +62,17 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             depth=DepthFile.if_there(*(path / kind / f"{index:06d}.png" for kind in ("depth", "confidence"))),
         )
 
-    frames, rejects = collect(rows, session_id, read_row)
-    refuse_unreadable(path, frames, rejects, ", ".join(_COLUMNS))
+    frames, rejects = read_rows(rows, read_row)
     notes = [] if per_frame else ["one camera matrix, the last frame's, stands for all frames"]
-    if note := _check_join(frames, len(rows), frame_times(video, limits), path):
+    if frames and (note := _check_join(frames, len(rows), frame_times(video, limits), path)):
         notes.append(note)
-    return RawSession(session_id, FORMAT.id, "iOS, Stray Scanner", Clock.BOOT, path, frames, rejects, notes=notes)
+    return Recording("iOS, Stray Scanner", Clock.BOOT, path, frames, rejects, notes=notes)
 
 
 def _camera_matrix(path: Path) -> Intrinsics:
     file = path / "camera_matrix.csv"
     try:
-        rows = [split_numbers(line, ",") for line in read_text(file, 1 << 16).split("\n") if line.strip()]
-        fx, _, cx, _, fy, cy, *_ = [value for row in rows for value in row]
+        fx, _, cx, _, fy, cy, *_ = split_numbers(read_text(file).strip().replace("\n", ","), separator=",")
     except (BadRow, ValueError) as error:
         raise UserError("the camera matrix can't be read", where=file, expected="3 rows of 3", found=error) from None
     return Intrinsics(fx, fy, cx, cy)
@@ -117,7 +102,6 @@ FORMAT = Format(
     id="stray_scanner",
     label="Stray Scanner",
     meaning="video, VIO, depth",
-    looks_for="odometry.csv and rgb.mp4",
-    detect=detect,
+    files=("odometry.csv", "rgb.mp4"),
     read=read,
 )

@@ -1,9 +1,8 @@
 """Depth images of the selected frames: checked, and used in the capture or written to the artefact like images."""
 
-import os
+import hashlib
 import stat
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import Reject
-from groundwalk.capture_import.intake import Image
+from groundwalk.capture_import.capture import Image, PlacedDepth, Reject
 from groundwalk.capture_import.media.float_depth import (
     FLOAT_SUFFIXES,
     decode_exr,
@@ -21,10 +19,8 @@ from groundwalk.capture_import.media.float_depth import (
     to_millimetres,
 )
 from groundwalk.capture_import.media.images import BadImage, decoded, image_size
-from groundwalk.capture_import.media.placing import Placement
-from groundwalk.store import UserError
+from groundwalk.capture_import.media.placement import Placement
 from groundwalk.store.choices import Rejected
-from groundwalk.store.hints import setting_of
 from groundwalk.store.parallel import in_parallel
 
 # Depth images are small; a larger file isn't one.
@@ -33,33 +29,25 @@ _MAX_BYTES = 1 << 26
 _ASPECT_TOLERANCE = 0.02
 
 
-@dataclass(frozen=True)
-class PlacedDepth:
-    """A frame's entries `depth` and `depth_confidence` in import.frames; None where there is none."""
-
-    entry: str | None = None
-    confidence: str | None = None
-
-
-def place_depths(images: Sequence[Image], session_id: str, where: Placement) -> tuple[list[PlacedDepth], list[Reject]]:
+def place_depths(images: Sequence[Image], where: Placement) -> tuple[list[PlacedDepth], list[Reject]]:
     """Check and place the depth images of a session's selected images, in their order.
 
-    They stay in the capture folder, or go where images go: copied, linked, and always written to the artefact from an
-    archive, where images are turned, as they are then turned, too, and as a PNG where they aren't one. One that can't
-    be used is a reject; its frame stays.
+    They stay in the capture folder, or go where images go: copied, and always written to the artefact from an archive,
+    where images are turned, as they are then turned, too, and as a PNG where they aren't one. One that can't be used is
+    a reject; its frame stays.
     """
     placed, rejects = [], []
-    for image, result in zip(images, in_parallel(lambda i: _place(i, session_id, where), images), strict=True):
+    for image, result in zip(images, in_parallel(lambda i: _place(i, where), images), strict=True):
         if isinstance(result, PlacedDepth):
             placed.append(result)
             continue
         placed.append(PlacedDepth())
         reason = f"{result[1]}; its image is used without"
-        rejects.append(Reject(session_id, result[0], image.frame.t_ns, reason, Rejected.DEPTH))
+        rejects.append(Reject(result[0], image.frame.t_ns, reason, Rejected.DEPTH))
     return placed, rejects
 
 
-def _place(image: Image, session_id: str, where: Placement) -> PlacedDepth | tuple[str, str]:
+def _place(image: Image, where: Placement) -> PlacedDepth | tuple[str, str]:
     """Where a frame's depth is; or the name of a file that can't be used, and why."""
     depth = image.frame.depth
     if depth is None:
@@ -67,9 +55,9 @@ def _place(image: Image, session_id: str, where: Placement) -> PlacedDepth | tup
     size = (image.check.width, image.check.height)
     if where.quarters % 2:  # that of the image as it was captured
         size = size[::-1]
-    entries: list[str] = []
+    entries: list[tuple[str, str]] = []
     shape: tuple[int, ...] | None = None
-    for file, dtype in ((depth.path, np.uint16), (depth.confidence, np.uint8)):
+    for kind, file, dtype in (("depth", depth.path, np.uint16), ("depth_confidence", depth.confidence, np.uint8)):
         if file is None:
             continue
         try:
@@ -77,10 +65,16 @@ def _place(image: Image, session_id: str, where: Placement) -> PlacedDepth | tup
             pixels = _decode(file, data, np.dtype(dtype), size, where.limits.max_megapixels)
             _check_shape(pixels, size, shape)
         except BadImage as error:
-            return file.name, f"depth {'image' if dtype is np.uint16 else 'confidence'} {error}"
+            return file.name, f"depth {'image' if kind == 'depth' else 'confidence'} {error}"
         shape = pixels.shape
-        entries.append(_placed(file, data, pixels, image, session_id, where))
-    return PlacedDepth(*entries)
+        if where.quarters or file.suffix != ".png":
+            data = cv2.imencode(".png", np.ascontiguousarray(np.rot90(pixels, -where.quarters)))[1].tobytes()
+        elif where.stays(file):
+            entries.append((file.relative_to(where.root).as_posix(), hashlib.sha256(data).hexdigest()))
+            continue
+        entry = where.write(data, kind, image.frame.number, ".png")
+        entries.append((entry, hashlib.sha256(data).hexdigest()))
+    return PlacedDepth(entries[0][0], entries[1][0] if len(entries) > 1 else None, entries[0][1])
 
 
 def _read(file: Path, where: Placement) -> bytes:
@@ -125,32 +119,3 @@ def _check_shape(pixels: NDArray[np.generic], size: tuple[int, int], shape: tupl
         raise BadImage(f"is {width}x{height}, its depth image {shape[1]}x{shape[0]}")
     if abs(np.log(width / height * size[1] / size[0])) > _ASPECT_TOLERANCE:
         raise BadImage(f"is {width}x{height}, another shape than the image's {size[0]}x{size[1]}")
-
-
-def _placed(
-    file: Path, data: bytes, pixels: NDArray[np.generic], image: Image, session_id: str, where: Placement
-) -> str:
-    """Entry of a depth or confidence image."""
-    in_capture, is_png = file.is_relative_to(where.root), file.suffix == ".png"
-    if where.how == "reference" and in_capture and is_png and not where.quarters:
-        return file.relative_to(where.root).as_posix()
-    kind = "depth" if pixels.dtype == np.uint16 else "depth_confidence"
-    target = where.work / kind / session_id / f"{image.frame.number:06d}.png"
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.unlink(missing_ok=True)  # from a killed run
-    if where.how == "link" and in_capture and is_png and not where.quarters:
-        try:
-            os.link(file.resolve(), target)
-        except OSError as error:
-            raise UserError(
-                "a depth image can't be hard-linked",
-                where=file,
-                found=error.strerror,
-                do="set " + setting_of("import", 'images = "copy"'),
-            ) from None
-    elif where.quarters or not is_png:
-        turned = np.ascontiguousarray(np.rot90(pixels, -where.quarters))
-        target.write_bytes(cv2.imencode(".png", turned)[1].tobytes())
-    else:
-        target.write_bytes(data)
-    return f"import:{target.relative_to(where.work).as_posix()}"

@@ -1,24 +1,26 @@
-"""Reading images of unknown origin: full decode check, size, sharpness and hash."""
+"""Images of unknown origin: full decode check, size, sharpness, hash, and their bytes without metadata."""
 
 import hashlib
 import struct
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import PIL.ExifTags
+import PIL.Image
 import simplejpeg
 from numpy.typing import NDArray
+
+from groundwalk.capture_import.capture import ImageCheck
 
 Gray = NDArray[np.uint8]
 
 # Sharpness is measured on images of this long side, so that it doesn't depend on the camera's resolution.
 WORKING_LONG_SIDE = 480
 _REBLUR = 9
-_QUALITY = 95
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _JPEG_SIGNATURE = b"\xff\xd8\xff"
-_ORIENTATION = 0x0112
 _START_OF_SCAN, _COMMENT, _ADOBE = 0xDA, 0xFE, 0xEE
 _PNG_METADATA = (b"eXIf", b"tEXt", b"zTXt", b"iTXt", b"tIME")
 
@@ -27,43 +29,22 @@ class BadImage(ValueError):
     """An image that can't be used; the message says why."""
 
 
-@dataclass(frozen=True)
-class ImageCheck:
-    """Size, sharpness, contrast (standard deviation of grey levels, of 255) and hashes of an image: of its file, and of
-    that without metadata. A video's frame has no hash."""
-
-    width: int
-    height: int
-    sharpness: float
-    contrast: float
-    sha256: str
-    content_sha256: str
-
-    @classmethod
-    def of(cls, gray: Gray, width: int, height: int, sha256: str, content_sha256: str) -> "ImageCheck":
-        """Of an image of this size, by its grey levels (H, W) in the working size."""
-        return cls(width, height, sharpness(gray), float(cv2.meanStdDev(gray)[1][0, 0]), sha256, content_sha256)
-
-
-def check_image(
-    data: bytes, max_megapixels: float, in_colour: bool = False
-) -> tuple[ImageCheck, Gray, NDArray[np.uint8] | None]:
-    """Decode an image wholly, once, and measure it: also gives it in grey (H, W) and, `in_colour`, in colour
-    (H, W, 3), in the working size.
+def check_image(data: bytes, max_megapixels: float) -> ImageCheck:
+    """Decode an image wholly and measure it.
 
     Raises BadImage for one that is empty, no JPEG or PNG, larger than the limit, truncated or corrupt.
     """
     width, height = image_size(data)
     if width * height > max_megapixels * 1e6:
         raise BadImage(f"image of {width}x{height} is larger than {max_megapixels:g} megapixels")
-    rgb = decode_rgb(data, WORKING_LONG_SIDE) if in_colour else None
-    if rgb is None:
-        gray = decode_gray(data, WORKING_LONG_SIDE)
-    else:
-        gray = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
+    gray = decode_gray(data, WORKING_LONG_SIDE)
     whole, content = hashlib.sha256(data).hexdigest(), without_metadata(data)
-    content_sha256 = whole if content == data else hashlib.sha256(content).hexdigest()
-    return ImageCheck.of(gray, width, height, whole, content_sha256), gray, rgb
+    return measured(gray, width, height, whole, whole if content == data else hashlib.sha256(content).hexdigest())
+
+
+def measured(gray: Gray, width: int, height: int, sha256: str = "", content_sha256: str = "") -> ImageCheck:
+    """What is measured of an image of this size by its grey levels (H, W) in the working size."""
+    return ImageCheck(width, height, sharpness(gray), float(cv2.meanStdDev(gray)[1][0, 0]), sha256, content_sha256)
 
 
 def image_size(data: bytes) -> tuple[int, int]:
@@ -82,20 +63,15 @@ def image_size(data: bytes) -> tuple[int, int]:
     raise BadImage("image is neither JPEG nor PNG")
 
 
-def exif_orientation(data: bytes) -> int:
-    """How EXIF says that a JPEG's pixels are turned, 1 to 8 (TIFF 6.0, Orientation); 1, as they are, where it doesn't.
-    The first bytes of a file are enough."""
-    start = data.find(b"Exif\0\0", 0, 1 << 16) + 6
-    tiff = data[start:]
-    order = {b"II*\0": "<", b"MM\0*": ">"}.get(tiff[:4])
-    if not data.startswith(_JPEG_SIGNATURE) or start < 6 or order is None or len(tiff) < 10:
+def exif_orientation(path: Path) -> int:
+    """How EXIF says that an image's pixels are turned, 1 to 8 (TIFF 6.0, Orientation); 1, as they are, where it
+    doesn't."""
+    try:
+        with PIL.Image.open(path) as image:
+            orientation = image.getexif().get(PIL.ExifTags.Base.Orientation, 1)
+    except (OSError, ValueError, SyntaxError):
         return 1
-    (at,) = struct.unpack_from(f"{order}I", tiff, 4)
-    for entry in range(at + 2, len(tiff) - 11, 12):
-        tag, _, _, value = struct.unpack_from(f"{order}HHIH", tiff, entry)
-        if tag == _ORIENTATION:
-            return value if 1 <= value <= 8 else 1
-    return 1
+    return orientation if orientation in range(1, 9) else 1
 
 
 def decode_rgb(data: bytes, long_side: int) -> NDArray[np.uint8]:
@@ -121,32 +97,32 @@ def without_metadata(data: bytes) -> bytes:
 
 
 def _without_jpeg_metadata(data: bytes) -> bytes:
-    parts, at = [data[:2]], 2
+    kept, at = [data[:2]], 2
     while at + 4 <= len(data) and data[at] == 0xFF:
         marker, size = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
         if marker == _START_OF_SCAN:
-            return b"".join([*parts, data[at:]])
+            return b"".join([*kept, data[at:]])
         segment = data[at : at + 2 + size]
         is_personal = marker == _COMMENT or (0xE1 <= marker <= 0xEF and marker != _ADOBE)
         if not is_personal or segment[4:].startswith(b"ICC_PROFILE"):
-            parts.append(segment)
+            kept.append(segment)
         at += 2 + size
     return data
 
 
 def _without_png_metadata(data: bytes) -> bytes:
-    parts, at = [data[:8]], 8
+    kept, at = [data[:8]], 8
     while at + 12 <= len(data):
         size, name = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
         if name not in _PNG_METADATA:
-            parts.append(data[at : at + 12 + size])
+            kept.append(data[at : at + 12 + size])
         at += 12 + size
-    return b"".join(parts)
+    return b"".join(kept)
 
 
-def encode_jpeg(rgb: NDArray[np.uint8]) -> bytes:
-    """An image (H, W, 3) that has to be compressed once more, as JPEG."""
-    return bytes(simplejpeg.encode_jpeg(np.ascontiguousarray(rgb), quality=_QUALITY, colorsubsampling="420"))
+def encode_jpeg(rgb: NDArray[np.uint8], quality: int = 95) -> bytes:
+    """An image (H, W, 3) as JPEG."""
+    return bytes(simplejpeg.encode_jpeg(np.ascontiguousarray(rgb), quality=quality, colorsubsampling="420"))
 
 
 def sharpness(gray: Gray) -> float:

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import Intrinsics, RawFrame
-from groundwalk.capture_import.checks.health import gravity_of
-from groundwalk.capture_import.intake import Image, ImportedSession
+from groundwalk.capture_import.capture import Image, Intrinsics, RawFrame, Session, poses_of
+from groundwalk.geometry.gravity import gravity_in_camera
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.shutter import usual_first_row
 from groundwalk.store.choices import ImageSide
@@ -16,28 +15,26 @@ from groundwalk.store.choices import ImageSide
 _CLOCKWISE: Array = make_pose([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0, 0, 0])
 
 
-def quarters_to_upright(session: ImportedSession) -> int:
+def quarters_to_upright(session: Session) -> int:
     """How many quarter turns clockwise (0 to 3) put gravity down in most of a session's images.
 
     One answer a session, so that its images and all its poses have the same axes. 0 where up is unknown.
     """
     if not session.recording.is_gravity_aligned or not session.images:
         return 0
-    poses = np.array([image.frame.vio_T_cam for image in session.images], dtype=float)
-    gravity = gravity_of(poses).sum(axis=0)
+    gravity = gravity_in_camera(poses_of(image.frame for image in session.images)).sum(axis=0)
     downs = [(np.linalg.matrix_power(_CLOCKWISE, k)[:3, :3] @ gravity)[1] for k in range(4)]
     return int(np.argmax(downs))
 
 
-def turned(session: ImportedSession, quarters: int) -> ImportedSession:
+def turned(session: Session, quarters: int) -> Session:
     """The session with camera axes, poses and intrinsics turned by quarters clockwise."""
     if quarters == 0:
         return session
     frames = {id(frame): _turned_pose(frame, quarters) for frame in session.frames}
     images = []
     for image in session.images:
-        camera, width, height = image.frame.intrinsics, image.check.width, image.check.height
-        assert camera is not None  # intake drops images without
+        camera, width, height = image.camera, image.check.width, image.check.height
         for _ in range(quarters):
             camera, width, height = _turned_camera(camera, height), height, width
         frame = replace(_turned_pose(image.frame, quarters), intrinsics=camera)
@@ -62,7 +59,7 @@ def turned_pixels(image: NDArray[np.uint8], quarters: int) -> NDArray[np.uint8]:
 
 
 def _turned_pose(frame: RawFrame, quarters: int) -> RawFrame:
-    assert frame.vio_T_cam is not None  # intake drops rows without
+    assert frame.vio_T_cam is not None  # a session has no rows without
     return replace(frame, vio_T_cam=frame.vio_T_cam @ inverse(np.linalg.matrix_power(_CLOCKWISE, quarters)))
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import Limits
-from groundwalk.capture_import.media.images import shrunk
 from groundwalk.store import UserError
 
 # Pixel formats whose first plane is the brightness, a byte a pixel.
@@ -83,15 +82,13 @@ def decode(path: Path, indices: set[int], limits: Limits) -> Iterator[tuple[int,
         return
 
 
-def gray_pixels(frame: av.VideoFrame, long_side: int) -> NDArray[np.uint8]:
-    """A frame's brightness (H, W), scaled down to the long side where it's larger."""
+def gray_pixels(frame: av.VideoFrame) -> NDArray[np.uint8]:
+    """A frame's brightness (H, W), in the frame's own memory, which the decoder uses again."""
     if frame.format.name not in _BRIGHTNESS_FIRST:
-        return np.asarray(shrunk(frame.to_ndarray(format="gray"), long_side), np.uint8)
+        return np.asarray(frame.to_ndarray(format="gray"), np.uint8)
     plane = frame.planes[0]
     rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)  # type: ignore[call-overload]
-    pixels = rows[: frame.height, : frame.width]
-    # The decoder uses the frame's memory again.
-    return np.array(shrunk(pixels, long_side), np.uint8)
+    return rows[: frame.height, : frame.width]
 
 
 def rgb_pixels(frame: av.VideoFrame) -> NDArray[np.uint8]:

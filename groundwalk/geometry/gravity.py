@@ -10,6 +10,11 @@ from groundwalk.geometry import Array
 _MAP_DOWN = np.array([0.0, -1.0, 0.0])
 
 
+def gravity_in_camera(world_T_cam: Array) -> Array:
+    """Unit vectors of gravity in camera axes (..., 3), for worlds whose +y is up."""
+    return -world_T_cam[..., 1, :3]
+
+
 def upright_rotation(gravity: Array) -> Array:
     """cam_R_upright (..., 3, 3) of gravity (..., 3), down in camera axes.
 

@@ -21,6 +21,8 @@ BUILTIN: dict[str, dict[str, str]] = {
             "arcore_logger",
             "invisible_map",
             "arkit_scenes",
+            "tum",
+            "rtabmap",
             "seven_scenes",
             "cambridge",
             "colmap",

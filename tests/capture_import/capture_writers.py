@@ -2,7 +2,7 @@
 
 import json
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,9 +12,10 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from groundwalk.capture_import.capture import Limits
-from groundwalk.capture_import.checks.scan import scan_images
-from groundwalk.capture_import.intake import Scan, measures
+from groundwalk.capture_import.capture import Limits, Reject, Session
+from groundwalk.capture_import.discovery import RecordingSource, find_recordings
+from groundwalk.capture_import.media.reading import ImageReader
+from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose, tq_from_pose
 
 WIDTH, HEIGHT = 96, 72
@@ -294,6 +295,36 @@ def write_arkit_scenes(folder: Path, walk: Walk) -> None:
     _write(folder, files)
 
 
+def _tum_row(walk: Walk, i: int) -> str:
+    t, q = tq_from_pose(walk.vio_T_cam[i])
+    return " ".join([f"{walk.t_ns[i] * 1e-9:.9f}", *map(repr, [*t.tolist(), *q.tolist()])])
+
+
+def write_tum(folder: Path, walk: Walk) -> None:
+    """TUM RGB-D's lists, with one camera for all images."""
+    seen = np.flatnonzero(walk.has_image).tolist()
+    files = {f"rgb/{i}.png": walk.png(i) for i in seen}
+    files["rgb.txt"] = "".join(f"{walk.t_ns[i] * 1e-9:.9f} rgb/{i}.png\n" for i in seen).encode()
+    files["groundtruth.txt"] = "\n".join(_tum_row(walk, i) for i in range(len(walk.t_ns))).encode()
+    files["camera.txt"] = " ".join(map(repr, walk.camera[0].tolist())).encode()
+    _write(folder, files)
+
+
+def write_rtabmap(folder: Path, walk: Walk) -> None:
+    """RTAB-Map's export, of frames with an image."""
+    files = {}
+    for i in (seen := np.flatnonzero(walk.has_image).tolist()):
+        fx, fy, cx, cy = walk.camera[i].tolist()
+        files[f"scan_rgb/{i}.jpg"] = walk.jpeg(i)
+        files[f"scan_calib/{i}.yaml"] = (
+            f"%YAML:1.0\nimage_width: {walk.size[0]}\nimage_height: {walk.size[1]}\ncamera_matrix:\n   rows: 3\n"
+            f"   data: [ {fx!r}, 0., {cx!r}, 0., {fy!r}, {cy!r}, 0., 0., 1. ]\n"
+            "distortion_coefficients:\n   rows: 1\n   data: [ 0., 0., 0., 0., 0. ]\n"
+        ).encode()
+    files["scan_camera_poses.txt"] = "\n".join(f"{_tum_row(walk, i)} {i}" for i in seen).encode()
+    _write(folder, files)
+
+
 def write_seven_scenes(folder: Path, walk: Walk) -> None:
     """7-Scenes: a sequence, with the scene's split beside it."""
     files = {}
@@ -390,6 +421,8 @@ WRITERS = {
     "arcore_logger": Written(write_arcore_logger, images=False),
     "invisible_map": Written(write_invisible_map, images=False),
     "arkit_scenes": Written(write_arkit_scenes),
+    "tum": Written(write_tum, camera=False),
+    "rtabmap": Written(write_rtabmap),
     "seven_scenes": Written(write_seven_scenes, camera=False, clock=False),
     "cambridge": Written(write_cambridge, camera=False, clock=False),
     "colmap": Written(write_colmap, clock=False),
@@ -397,6 +430,21 @@ WRITERS = {
 }
 
 
-def scan_all(roots: Sequence[Path], limits: Limits) -> Scan:
-    """The scan of every image, with links inside `roots`."""
-    return lambda frames: measures(scan_images(frames, roots, limits))
+def find_one(root: Path) -> RecordingSource:
+    """The only recording in a folder; archives are unpacked beside it."""
+    (found,) = find_recordings(root, root.parent / "unpacked", Limits())
+    return found
+
+
+def reader_of(root: Path) -> ImageReader:
+    """Reads the images of a folder, and of archives that were unpacked beside it."""
+    return ImageReader([root.resolve(), (root.parent / "unpacked").resolve()], Limits())
+
+
+def sessions_in(root: Path) -> list[Session]:
+    """The sessions of the only recording in a folder, with all images checked."""
+    return sound_sessions(find_one(root).read(Limits()), reader_of(root).check, 0.5)
+
+
+def rejects_of(sessions: list[Session]) -> list[Reject]:
+    return [reject for session in sessions for reject in session.rejects]

@@ -9,10 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from groundwalk.capture_import.capture import RawFrame, RawSession
-from groundwalk.capture_import.intake import Image, ImportedSession
-from groundwalk.capture_import.media.images import ImageCheck
-from groundwalk.capture_import.sampling import sample_motion, sample_rate, sample_support, support_cells
+from groundwalk.capture_import.capture import Image, ImageCheck, RawFrame, Recording, Session
+from groundwalk.capture_import.sampling import sample_between, sample_motion, sample_rate
 from groundwalk.capture_import.selection import density_for, select
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.splits import LEAK_S, leak_seconds, refuse_lists, split_frames
@@ -84,13 +82,11 @@ def steps_between(poses: np.ndarray, used: np.ndarray, step_m: float, step_deg: 
     return np.maximum(np.linalg.norm(a_T_b[:, :3, 3], axis=1) / step_m, turned / step_deg)
 
 
-@given(st.integers(2, 150), st.integers(1, 30), st.integers(1, 20), st.integers(0, 2**32 - 1))
-def test_support_frames_keep_steps_small_wherever_there_are_images(
-    count: int, every: int, width: int, seed: int
-) -> None:
+@given(st.integers(2, 150), st.integers(1, 30), st.integers(0, 2**32 - 1))
+def test_support_frames_keep_steps_small_wherever_there_are_images(count: int, every: int, seed: int) -> None:
     poses, sharpness = walk_of(count, seed)
-    kept, cells = np.arange(0, count, every), np.arange(count) // width
-    support = sample_support(poses, sharpness, cells, kept, 0.3, 15.0, max_count=count)
+    kept = np.arange(0, count, every)
+    support = sample_between(poses, sharpness, kept, 0.3, 15.0, max_count=count)
     assert np.intersect1d(support, kept).size == 0 and ((support > kept[0]) & (support < kept[-1])).all()
     used = np.sort(np.concatenate([kept, support]))
     large = steps_between(poses, used, 0.3, 15.0) > 1 + 1e-6
@@ -104,7 +100,7 @@ def test_support_frames_keep_steps_small_wherever_there_are_images(
 def test_support_frames_stay_within_their_number(count: int, most: int, seed: int) -> None:
     poses, sharpness = walk_of(count, seed)
     kept = np.arange(0, count, 10)
-    support = sample_support(poses, sharpness, np.arange(count), kept, 0.3, 15.0, most)
+    support = sample_between(poses, sharpness, kept, 0.3, 15.0, most)
     assert len(support) <= most
     if len(support) < most:
         used = np.sort(np.concatenate([kept, support]))
@@ -116,33 +112,19 @@ def straight(metres: np.ndarray) -> np.ndarray:
 
 
 def test_support_frames_are_few_even_and_sharp() -> None:
-    poses, cells, kept = straight(np.arange(101) * 0.01), np.arange(101), np.array([0, 100])
-    support = sample_support(poses, np.zeros(101), cells, kept, 0.3, 15.0, 100)
+    poses, kept = straight(np.arange(101) * 0.01), np.array([0, 100])
+    support = sample_between(poses, np.zeros(101), kept, 0.3, 15.0, 100)
     assert support.tolist() == [25, 50, 75]
     sharpness = np.zeros(101)
     sharpness[[28, 52, 80, 99]] = 1.0
-    assert sample_support(poses, sharpness, cells, kept, 0.3, 15.0, 100).tolist() == [28, 52, 80]
-    # Only the sharpest image of each cell, as long as that does.
-    assert sample_support(poses, sharpness, cells // 12, kept, 0.3, 15.0, 100).tolist() == [28, 52, 80]
-    assert not len(sample_support(poses, sharpness, cells, kept, 0.0, 15.0, 100))
-    assert len(sample_support(poses, sharpness, cells, kept, 0.3, 0.0, 100)) == 3
+    assert sample_between(poses, sharpness, kept, 0.3, 15.0, 100).tolist() == [28, 52, 80]
 
 
 def test_the_largest_steps_are_cut_where_not_all_can_be() -> None:
     metres = np.concatenate([np.arange(10) * 0.1, 1 + np.arange(41) * 0.1])  # 1 m, then 4 m
     kept = np.array([0, 10, 50])
-    support = sample_support(straight(metres), np.zeros(51), np.arange(51), kept, 0.3, 15.0, 3)
+    support = sample_between(straight(metres), np.zeros(51), kept, 0.3, 15.0, 3)
     assert support.tolist() == [20, 30, 40]
-
-
-def test_cells_are_narrow_but_no_more_than_so_many() -> None:
-    travelled = 0.05 * np.arange(1000.0)  # in steps: half a step is ten images
-    windows = [np.arange(i, i + 5) for i in range(0, 1000, 100)]
-    cells = support_cells(travelled, windows, 1000)
-    assert (np.diff(cells) >= 0).all() and np.unique(cells, return_counts=True)[1].max() == 10
-    for window in windows:
-        assert np.intersect1d(cells[window], np.delete(cells, window)).size == 0
-    assert len(np.unique(support_cells(travelled, windows, 60))) <= 60
 
 
 @pytest.mark.parametrize("every", [1, 2, 3])
@@ -165,7 +147,7 @@ def test_a_phone_that_stands_still_keeps_every_image() -> None:
     assert np.isinf(density_for([session], settings))
 
 
-def session_of(seconds: np.ndarray, speed_m_s: float = 1.0) -> ImportedSession:
+def session_of(seconds: np.ndarray, speed_m_s: float = 1.0) -> Session:
     """A straight walk with an image at each of the seconds, equally sharp."""
     x = speed_m_s * seconds
     poses = make_pose(np.eye(3), np.stack([x, 0 * x, 0 * x], axis=-1))
@@ -173,9 +155,9 @@ def session_of(seconds: np.ndarray, speed_m_s: float = 1.0) -> ImportedSession:
         RawFrame(number, str(number), round(1e9 * s), pose)
         for number, (s, pose) in enumerate(zip(seconds, poses, strict=True))
     ]
-    raw = RawSession("walk", "none", "", Clock.BOOT, Path(), frames)
+    raw = Recording("", Clock.BOOT, Path(), frames)
     images = [Image(frame, ImageCheck(96, 72, 0.5, 50.0, "", "")) for frame in frames]
-    return ImportedSession("walk", raw, frames, images, [])
+    return Session("walk", raw, frames, images, [], [])
 
 
 def test_a_single_walk_is_split_in_time_with_validation_between() -> None:

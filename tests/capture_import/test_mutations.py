@@ -13,14 +13,14 @@ import pytest
 
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.discovery import find_recordings
-from groundwalk.capture_import.intake import take_in
 from groundwalk.capture_import.media.archive import unpack
-from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.capture_import.media.reading import ImageReader
+from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.capture_import.tables import rejects_table
 from groundwalk.geometry.poses import rigidity_error
 from groundwalk.store import UserError
 from tests.capture_import.capture_mutations import mutate
-from tests.capture_import.capture_writers import WRITERS, make_walk, scan_all
+from tests.capture_import.capture_writers import WRITERS, make_walk
 
 SECONDS = 20
 LINES = 40
@@ -44,20 +44,20 @@ def no_longer_than(seconds: int, what: object) -> Iterator[None]:
         signal.signal(signal.SIGALRM, old)
 
 
-def take_all(root: Path, unpacked: Path) -> bool:
-    """Take in what `root` holds and check what must hold for anything that comes out; False where it's refused."""
+def read_all(root: Path, unpacked: Path) -> bool:
+    """Read what `root` holds and check what must hold for anything that comes out; False where it's refused."""
     limits = Limits(max_megapixels=1.0)
     try:
         for found in find_recordings(root, unpacked, limits):
             raw = found.read(limits)
-            intake = take_in(raw, ImportSettings(), scan_all([root.resolve(), unpacked.resolve()], limits))
-            rejects_table(intake.rejects)
-            for session in intake.sessions:
+            sessions = sound_sessions(raw, ImageReader([root.resolve(), unpacked.resolve()], limits).check, 0.5)
+            rejects_table(sessions)
+            for session in sessions:
                 assert (np.diff(session.t_ns) > 0).all()
                 assert rigidity_error(session.poses).max(initial=0) < 1e-9
                 for image in session.images:
-                    camera = image.frame.intrinsics
-                    assert camera is not None and 0 < camera.cx < image.check.width
+                    camera = image.camera
+                    assert 0 < camera.cx < image.check.width
                     assert 0 <= image.check.sharpness <= 1
     except UserError as error:
         assert len(str(error).splitlines()) <= LINES and len(str(error)) < 4000
@@ -76,7 +76,7 @@ def run_mutations(name: str, count: int, tmp_path: Path, seed: int) -> int:
         done = mutate(root, np.random.default_rng([seed, case]))
         with no_longer_than(SECONDS, (name, case, done)):
             try:
-                imported += take_all(root, tmp_path / "case" / "unpacked")
+                imported += read_all(root, tmp_path / "case" / "unpacked")
             except Exception as error:
                 raise AssertionError(f"{name}, case {case}: {done}") from error
         shutil.rmtree(tmp_path / "case")
@@ -131,4 +131,4 @@ def test_truncated_archives_are_refused(tmp_path: Path) -> None:
     data = Path(archive).read_bytes()
     for end in np.linspace(0, len(data) - 1, 12).astype(int):
         Path(archive).write_bytes(data[:end])
-        assert not take_all(tmp_path / "place", tmp_path / "unpacked")
+        assert not read_all(tmp_path / "place", tmp_path / "unpacked")

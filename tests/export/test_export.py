@@ -15,7 +15,7 @@ from evo.tools import file_interface
 from typer.testing import CliRunner
 
 from groundwalk.alignment.definition import STAGE
-from groundwalk.capture_import.capture import Limits, RawSession
+from groundwalk.capture_import.capture import Limits, Recording
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.export import command
 from groundwalk.export.__main__ import app
@@ -238,7 +238,7 @@ def test_nerfstudio_poses_are_opengl_cameras_in_a_world_with_z_up(scene: DataRoo
     assert {path for paths in named.values() for path in paths} == {f["file_path"] for f in content["frames"]}
 
 
-def _sessions(out: Path) -> list[RawSession]:
+def _sessions(out: Path) -> list[Recording]:
     found = find_recordings(out, out.parent / "unpacked", Limits())
     return [recording.read(Limits()) for recording in found]
 
@@ -271,7 +271,7 @@ def test_our_importer_reads_what_other_tools_read(scene: DataRoot, name: str) ->
     out = _export(scene, name, "--images", "copy")
     frame_of, truth, found = _frame_of(out), _truth(scene), {}
     sessions = _sessions(out)
-    split = {s.session_id: Counter(f.split for f in s.frames) for s in sessions}
+    split = {s.recording_id: Counter(f.split for f in s.frames) for s in sessions}
     assert split == {"walk0": {"train": 14, "test": 5}, "walk1": {"test": 20}}
     for session in sessions:
         assert not session.rejects and not session.notes

@@ -34,7 +34,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> DataRoot:
     CliRunner().invoke(simulation_app, arguments, catch_exceptions=False)
     for recording in find_recordings(data.captures(SIMULATED), data.root / "unpacked", Limits()):
         raw = recording.read(Limits())
-        folder = data.captures("auto") / raw.session_id
+        folder = data.captures("auto") / raw.recording_id
         (folder / "images").mkdir(parents=True)
         rows = [{"groundwalk": "frames", "version": 1, "device": raw.device, "clock": raw.clock}]
         for frame in raw.frames:

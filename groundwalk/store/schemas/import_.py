@@ -80,6 +80,7 @@ TABLES = [
                 "camera's z axis, 0: none. Null where there is none",
                 nullable=True,
             ),
+            Column("depth_sha256", "string", "sha256 of the depth image file; null where there is none", nullable=True),
             Column(
                 "depth_confidence",
                 "string",
@@ -88,7 +89,7 @@ TABLES = [
                 nullable=True,
             ),
         ],
-        version="2.3",
+        version="2.4",
     ),
     TableSchema(
         "import",
@@ -187,7 +188,7 @@ TABLES = [
             Column("dt_s", "float64", "time between the two poses", "s"),
             Column("jump_m", "float64", "displacement beyond the motion around it", "m"),
             Column("jump_deg", "float64", "rotation beyond the motion around it", "deg"),
-            Column("splits", "bool", "larger than max_jump_m or max_jump_deg: the session was split here"),
+            Column("splits", "bool", "larger than 0.5 m or 15 degrees: the session was split here"),
         ],
     ),
     TableSchema(

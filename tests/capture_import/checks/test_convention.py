@@ -8,20 +8,16 @@ import cv2
 import numpy as np
 import pytest
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.capture import Image, ImageFile, Intrinsics, RawFrame, Recording, Session
 from groundwalk.capture_import.checks.clock import check_clock
 from groundwalk.capture_import.checks.convention import CONVENTIONS, check_convention
-from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.definition import STAGE
-from groundwalk.capture_import.discovery import find_recordings
-from groundwalk.capture_import.intake import Image, ImportedSession, take_in
 from groundwalk.capture_import.media.images import check_image
-from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.geometry.lens import rational_of_fisheye, undistort
 from groundwalk.geometry.poses import Array, interpolate, make_pose
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.choices import Clock
-from tests.capture_import.capture_writers import scan_all
+from tests.capture_import.capture_writers import reader_of, sessions_in
 
 # What undoes a mistake, where it isn't the mistake itself.
 UNDONE_BY = {
@@ -38,7 +34,7 @@ def room(
     pace: float = 1.0,
     focal: float = 300.0,
     lens: tuple[float, ...] = (),
-) -> ImportedSession:
+) -> Session:
     """A walk along two textured walls at different depths, seen by a camera that looks around."""
     rng = np.random.default_rng(3)
     coarse = cv2.resize(rng.integers(0, 255, (150, 150), dtype=np.uint8), (1200, 1200), interpolation=cv2.INTER_CUBIC)
@@ -56,9 +52,9 @@ def room(
         path = tmp_path / f"{i}.png"
         cv2.imwrite(str(path), picture)
         frame = RawFrame(i, path.name, i * 10**8, pose, ImageFile(path), camera)
-        images.append(Image(frame, check_image(path.read_bytes(), 1.0)[0]))
-    raw = RawSession("room", "test", "phone", Clock.BOOT, tmp_path, [i.frame for i in images])
-    return ImportedSession("room", raw, [i.frame for i in images], images, [])
+        images.append(Image(frame, check_image(path.read_bytes(), 1.0)))
+    raw = Recording("phone", Clock.BOOT, tmp_path, [i.frame for i in images])
+    return Session("room", raw, [i.frame for i in images], images, [], [])
 
 
 def _wall(
@@ -80,7 +76,7 @@ def _wall(
     return cv2.remap(strip, at[0], at[1], cv2.INTER_LINEAR)
 
 
-def with_mistake(session: ImportedSession, name: str) -> ImportedSession:
+def with_mistake(session: Session, name: str) -> Session:
     change = dict(CONVENTIONS)[name]
     images = []
     for image in session.images:
@@ -99,7 +95,7 @@ FISHEYE = tuple(rational_of_fisheye([0.0] * 4, 1.1, 1e-3).tolist())
 @pytest.mark.parametrize(("focal", "lens"), [(300.0, ()), (190.0, FISHEYE)], ids=["pinhole", "fisheye"])
 def test_right_poses_pass_and_mistakes_are_named(tmp_path: Path, focal: float, lens: tuple[float, ...]) -> None:
     session = room(tmp_path, focal=focal, lens=lens)
-    right = check_convention(session, Views([tmp_path], Limits()).load)
+    right = check_convention(session, reader_of(tmp_path))
     assert right.pairs >= 4 and right.declared > 0.9 and right.contradicted is None
     for name in (
         "camera y and z axes have the other sign (ARKit's or OpenGL's for OpenCV's, or back)",
@@ -107,14 +103,14 @@ def test_right_poses_pass_and_mistakes_are_named(tmp_path: Path, focal: float, l
         "quaternions are w first, read as w last",
         "image is turned by 90 degrees clockwise against the pose",
     ):
-        wrong = check_convention(with_mistake(session, name), Views([tmp_path], Limits()).load)
+        wrong = check_convention(with_mistake(session, name), reader_of(tmp_path))
         assert wrong.contradicted == UNDONE_BY.get(name, name)
 
 
 def test_images_without_parallax_tell_nothing(tmp_path: Path) -> None:
     session = room(tmp_path)
     still = replace(session, images=[session.images[0]] * 5)
-    check = check_convention(still, Views([tmp_path], Limits()).load)
+    check = check_convention(still, reader_of(tmp_path))
     assert check.pairs == 0 and check.contradicted is None
 
 
@@ -132,7 +128,7 @@ def test_a_clock_that_is_off_is_measured(tmp_path: Path, offset_s: float) -> Non
         replace(image, frame=replace(image.frame, t_ns=image.frame.t_ns - round(offset_s * 1e9)))
         for image in session.images[5:-5]
     ]
-    check = check_clock(replace(session, frames=dense, images=stamped), Views([tmp_path], Limits()).load)
+    check = check_clock(replace(session, frames=dense, images=stamped), reader_of(tmp_path))
     assert check.offset_s == pytest.approx(offset_s, abs=0.02)
 
 
@@ -152,12 +148,10 @@ def test_import_stops_at_a_wrong_convention(tmp_path: Path, shared_captures: Pat
 
 @pytest.mark.slow
 @pytest.mark.parametrize("capture", ["chair", "corridor"])
-def test_every_mistake_is_found_in_real_captures(shared_captures: Path, tmp_path: Path, capture: str) -> None:
+def test_every_mistake_is_found_in_real_captures(shared_captures: Path, capture: str) -> None:
     root = (shared_captures / capture).resolve()
-    (found,) = find_recordings(root, tmp_path, Limits())
-    raw = found.read(Limits())
-    (session,) = take_in(raw, ImportSettings(), scan_all([root], Limits())).sessions
-    load = Views([root], Limits()).load
+    (session,) = sessions_in(root)
+    load = reader_of(root)
     right = check_convention(session, load)
     assert right.declared > 0.85 and right.contradicted is None
     for name, _ in CONVENTIONS[1:]:

@@ -9,17 +9,22 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.capture import Limits, Session
 from groundwalk.capture_import.checks.gravity import GravityCheck, check_gravity, starts_along_axes
-from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.inspection import inspect_capture
-from groundwalk.capture_import.intake import Intake, take_in
-from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose
 from groundwalk.store import DataRoot, UserError, execute
-from tests.capture_import.capture_writers import Walk, make_walk, scan_all, write_frames_jsonl, write_record3d
+from tests.capture_import.capture_writers import (
+    Walk,
+    make_walk,
+    reader_of,
+    sessions_in,
+    write_frames_jsonl,
+    write_record3d,
+)
 
 GRAVITY = ["gravity_x", "gravity_y", "gravity_z"]
 
@@ -73,17 +78,16 @@ def test_frames_jsonl_states_whether_its_y_is_up(tmp_path: Path) -> None:
     assert "gravity_aligned, true or false" in str(error.value)
 
 
-def taken(tmp_path: Path, walk: Walk) -> Intake:
+def written(tmp_path: Path, walk: Walk) -> list[Session]:
     write_record3d(tmp_path / "walk", walk)
-    (source,) = find_recordings(tmp_path / "walk", tmp_path / "unpacked", Limits(), "auto")
-    return take_in(source.read(Limits()), ImportSettings(), scan_all([tmp_path.resolve()], Limits()))
+    return sessions_in(tmp_path / "walk")
 
 
 @pytest.mark.parametrize("axes", [np.eye(3), ARKIT_CAM_T_CAM[:3, :3], np.roll(np.eye(3), 1, axis=0)])
 def test_a_start_along_axes_is_seen_in_any_convention(tmp_path: Path, axes: Array) -> None:
     walk = make_walk()
     turned = make_pose(axes, [1.0, 2.0, 3.0]) @ inverse(walk.vio_T_cam[0]) @ walk.vio_T_cam
-    assert starts_along_axes(taken(tmp_path, replace(walk, vio_T_cam=turned)).sessions)
+    assert starts_along_axes(written(tmp_path, replace(walk, vio_T_cam=turned)))
 
 
 @pytest.mark.parametrize("off_deg", [0.02, 5.0])
@@ -91,7 +95,7 @@ def test_a_phone_held_level_is_no_such_start(tmp_path: Path, off_deg: float) -> 
     walk = make_walk()
     tilt = Rotation.from_euler("x", off_deg, degrees=True).as_matrix()
     level = make_pose(tilt, [0, 0, 0]) @ inverse(walk.vio_T_cam[0]) @ walk.vio_T_cam
-    assert not starts_along_axes(taken(tmp_path, replace(walk, vio_T_cam=level)).sessions)
+    assert not starts_along_axes(written(tmp_path, replace(walk, vio_T_cam=level)))
 
 
 def test_poses_before_odometry_has_begun_are_no_start(tmp_path: Path) -> None:
@@ -100,8 +104,8 @@ def test_poses_before_odometry_has_begun_are_no_start(tmp_path: Path) -> None:
     poses = walk.vio_T_cam.copy()
     poses[:6] = ARKIT_CAM_T_CAM
     poses[6:, :3, 3] += [3.0, 0, 0]
-    intake = taken(tmp_path, replace(walk, vio_T_cam=poses))
-    assert len(intake.sessions) == 2 and not starts_along_axes(intake.sessions)
+    sessions = written(tmp_path, replace(walk, vio_T_cam=poses))
+    assert len(sessions) == 2 and not starts_along_axes(sessions)
 
 
 def of_real(capture: Path, unpacked: Path, turn: Array) -> list[GravityCheck]:
@@ -113,9 +117,8 @@ def of_real(capture: Path, unpacked: Path, turn: Array) -> list[GravityCheck]:
             replace(f, vio_T_cam=None if f.vio_T_cam is None else make_pose(turn, [0, 0, 0]) @ f.vio_T_cam)
             for f in raw.frames
         ]
-        roots = [capture.resolve()]
-        intake = take_in(replace(raw, frames=frames), ImportSettings(), scan_all(roots, Limits()))
-        checks.append(check_gravity(intake, Views(roots, Limits()).load))
+        reader = reader_of(capture)
+        checks.append(check_gravity(sound_sessions(replace(raw, frames=frames), reader.check, 0.5), reader))
     return checks
 
 

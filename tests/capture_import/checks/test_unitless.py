@@ -10,27 +10,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundwalk.capture_import.capture import Limits, RawFrame
+from groundwalk.capture_import.capture import RawFrame, Session
 from groundwalk.capture_import.checks.convention import check_convention, unitless_parallax_pairs
-from groundwalk.capture_import.checks.health import check_session
 from groundwalk.capture_import.checks.plausibility import plausibility_faults
-from groundwalk.capture_import.checks.views import Views
+from groundwalk.capture_import.checks.rows import check_rows
 from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.inspection import inspect_capture
-from groundwalk.capture_import.intake import ImportedSession, Intake
 from groundwalk.capture_import.origin import far_origin, moved
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store import DataRoot, execute
 from groundwalk.store.choices import PoseSource
 from groundwalk.store.tables import poses_of
-from tests.capture_import.capture_writers import make_walk, write_nerfstudio
+from tests.capture_import.capture_writers import make_walk, reader_of, write_nerfstudio
 from tests.capture_import.checks.test_convention import room, with_mistake
-from tests.capture_import.checks.test_health import session_of
+from tests.capture_import.checks.test_rows import session_of
 
 ECEF, UTM = (4186461.3, 834911.7, 4723432.9), (499123.4, 5412345.6, 210.0)
 
 
-def in_world(session: ImportedSession, scale: float, origin: tuple[float, float, float]) -> ImportedSession:
+def in_world(session: Session, scale: float, origin: tuple[float, float, float]) -> Session:
     """The session as a reference without a unit, in a world of so many units a metre that begins elsewhere."""
 
     def of(frame: RawFrame) -> RawFrame:
@@ -50,7 +48,7 @@ def in_world(session: ImportedSession, scale: float, origin: tuple[float, float,
 def test_mistakes_are_named_at_any_scale_and_origin(
     tmp_path: Path, scale: float, origin: tuple[float, float, float]
 ) -> None:
-    session, load = in_world(room(tmp_path), scale, origin), Views([tmp_path], Limits()).load
+    session, load = in_world(room(tmp_path), scale, origin), reader_of(tmp_path)
     right = check_convention(session, load)
     assert right.pairs >= 4 and right.declared > 0.9 and right.contradicted is None
     for name in (
@@ -74,16 +72,16 @@ def test_pairs_rows_and_frames_do_not_depend_on_unit_and_origin(scale: float, or
     session = replace(session_of(walk.t_ns, list(world)), pose_source=PoseSource.REFERENCE, is_metric=False)
     here = session_of(walk.t_ns, list(walk.vio_T_cam))
     assert unitless_parallax_pairs(session.frames) == unitless_parallax_pairs(here.frames)
-    assert not check_session(session, 0.5).rejects
+    assert not check_rows(session)[1]
     # A broken number is one among those around it.
     far = make_pose(np.eye(3), scale * (origin + np.array([0, 1e7, 0])))
     with_broken = replace(
         session, frames=[replace(f, vio_T_cam=far) if f.number == broken else f for f in session.frames]
     )
-    (reject,) = check_session(with_broken, 0.5).rejects
+    _, (reject,) = check_rows(with_broken)
     assert reject.source == f"row {broken}" and "from the others' middle" in reject.reason
-    raw = ImportedSession("walk", session, list(session.frames), [], [])
-    assert not plausibility_faults(Intake([raw], []))
+    raw = Session("walk", session, list(session.frames), [], [], [])
+    assert not plausibility_faults([raw])
 
 
 @given(SCALES, ORIGINS)
@@ -91,7 +89,7 @@ def test_a_far_origin_is_taken_off_and_stated(scale: float, origin: Array) -> No
     walk = make_walk(40)
     world = make_pose(walk.vio_T_cam[:, :3, :3], scale * (walk.vio_T_cam[:, :3, 3] + origin))
     raw = replace(session_of(walk.t_ns, list(world)), pose_source=PoseSource.REFERENCE, is_metric=False)
-    session = ImportedSession("walk", raw, list(raw.frames), [], [])
+    session = Session("walk", raw, list(raw.frames), [], [], [])
     off, extent = far_origin([session]), float(np.linalg.norm(np.ptp(world[:, :3, 3], axis=0)))
     assert (off is not None) == (np.linalg.norm(np.median(world[:, :3, 3], axis=0)) > 1000 * extent)
     if off is not None:

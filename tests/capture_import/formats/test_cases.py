@@ -3,6 +3,8 @@
 import importlib.util
 import json
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -12,7 +14,7 @@ import pandas as pd
 import pytest
 from rerun.chunk import RrdReader
 
-from groundwalk.capture_import.capture import ImageFile, Limits, RawSession
+from groundwalk.capture_import.capture import ImageFile, Limits, Recording
 from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.scanner_app import FORMAT as SCANNER_APP
@@ -21,7 +23,7 @@ from groundwalk.store import DataRoot, UserError, execute
 from tests.known import there
 
 # Those that import doesn't read as it should yet, and Record3D's, which tests of gravity and plausibility are about.
-NOT_YET = {"photos_only", "video_only", "unknown_app", "tum_lists", "rtabmap_export"}
+NOT_YET = {"photos_only", "video_only"}
 ELSEWHERE = {"record3d_without_poses", "record3d_relative_to_start"}
 
 
@@ -39,7 +41,7 @@ def cases(shared_captures: Path) -> ModuleType:
 @pytest.fixture(scope="module")
 def truth(cases: ModuleType) -> np.ndarray:
     """ARKit's poses (24, 4, 4) of the images, as the capture itself is read."""
-    raw = SCANNER_APP.read(cases.SRC, "chair", Limits())
+    raw = SCANNER_APP.read(cases.SRC, Limits())
     return np.array([frame.vio_T_cam for frame in raw.frames if frame.image is not None], dtype=float)
 
 
@@ -55,16 +57,16 @@ def make(cases: ModuleType, tmp_path: Path) -> Make:
     return made
 
 
-def read_one(folder: Path, format_name: str = "auto") -> RawSession:
+def read_one(folder: Path, format_name: str = "auto") -> Recording:
     (found,) = find_recordings(folder, folder.parent / "unpacked", Limits(), format_name)
     return found.read(Limits())
 
 
-def poses_of(raw: RawSession) -> np.ndarray:
+def poses_of(raw: Recording) -> np.ndarray:
     return np.array([frame.vio_T_cam for frame in raw.frames], dtype=float)
 
 
-def names_of(raw: RawSession) -> list[str]:
+def names_of(raw: Recording) -> list[str]:
     return [frame.image.path.name for frame in raw.frames if isinstance(frame.image, ImageFile)]
 
 
@@ -111,7 +113,7 @@ def test_the_larger_of_two_models_is_read(make: Make, truth: np.ndarray) -> None
     np.testing.assert_allclose(poses_of(raw), truth[5:], atol=1e-5)
     (note,) = raw.notes
     assert note.startswith("sparse/1 is read, the model with most images (19)") and "sparse/0 (5)" in note
-    assert [reject.source for reject in raw.rejects] == [f"{n:06d}.jpg" for n in range(5)]
+    assert [reject.source for reject in raw.rejects] == [f"images/{n:06d}.jpg" for n in range(5)]
 
 
 def test_a_chosen_format_names_what_it_leaves_out(make: Make) -> None:
@@ -156,8 +158,46 @@ def test_a_turned_image_is_named(make: Make) -> None:
 
 
 def test_a_recording_without_its_video_is_named(make: Make) -> None:
-    with pytest.raises(UserError, match=r"(?s)Stray Scanner: odometry\.csv is here, rgb\.mp4 is not"):
-        read_one(make("stray_without_video"))
+    folder = make("stray_without_video")
+    with pytest.raises(UserError, match=r"^Stray Scanner: odometry\.csv is here, rgb\.mp4 is not") as error:
+        read_one(folder)
+    with pytest.raises(UserError, match=r"^Stray Scanner \(stray_without_video\): odometry\.csv is here"):
+        find_recordings(folder.parent, folder.parent / "unpacked", Limits())
+    assert len(str(error.value).splitlines()) <= 12
+
+
+def test_a_part_of_a_recording_leads_to_the_whole(make: Make) -> None:
+    folder = make("polycam_without_size")
+    with pytest.raises(UserError, match=r"a part of the recording .*polycam_without_size\n.*inspect .*polycam_without"):
+        read_one(folder / "keyframes" / "images")
+
+
+def test_an_unknown_log_is_told_and_can_be_written_anew(make: Make, truth: np.ndarray) -> None:
+    folder = make("unknown_app")
+    with pytest.raises(UserError) as error:
+        read_one(folder)
+    said = str(error.value)
+    assert len(said.splitlines()) <= 12 and "24 images" in said and "frames.jsonl" in said
+    keys = "poses (cameraTransform), intrinsics (cameraIntrinsics) and times (timeStamp)"
+    assert f"recording.json seems to hold {keys}" in said
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "capture-formats.md").read_text(encoding="utf-8")
+    program = page.partition("```python\n")[2].partition("```")[0]
+    subprocess.run([sys.executable, "-c", program], cwd=folder, check=True)
+    np.testing.assert_allclose(poses_of(read_one(folder)), truth, atol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "format_id"), [("tum_lists", "tum"), ("rtabmap_export", "rtabmap")])
+def test_lists_of_poses_and_images_are_read(make: Make, truth: np.ndarray, name: str, format_id: str) -> None:
+    folder = make(name)
+    raw = read_one(folder)
+    assert raw.format == format_id and not raw.rejects and raw.pose_source == "reference"
+    np.testing.assert_allclose(poses_of(raw), truth, atol=1e-5)
+    unusable: list[str] = []
+    lines = list(inspect_capture(folder, unusable=unusable))
+    assert not unusable and any("24 sound, 480x360" in line for line in lines)
+    # TUM's lists have no intrinsics: the focal length is found by the poses and the images.
+    (focal,) = [re.search(r"fx ([0-9.]+)\.\.([0-9.]+) px", line) for line in lines if "  images " in line]
+    assert [float(px) for px in there(focal).groups()] == pytest.approx([361.9, 361.9], rel=0.03)
 
 
 @pytest.mark.parametrize("name", ["stray_newest", "nested_two_levels"])

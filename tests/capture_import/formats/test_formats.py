@@ -9,20 +9,21 @@ import pytest
 
 from groundwalk.capture_import.capture import ImageFile, Limits
 from groundwalk.capture_import.definition import STAGE
-from groundwalk.capture_import.discovery import RecordingSource, find_recordings
+from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats import FORMATS
-from groundwalk.capture_import.intake import Intake, take_in
 from groundwalk.capture_import.media.images import decode_rgb
-from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.geometry.poses import relative, rotation_angle
 from groundwalk.store import DataRoot, UserError, execute
 from tests.capture_import.capture_writers import (
     HEIGHT,
     WIDTH,
     WRITERS,
+    find_one,
     image,
     make_walk,
-    scan_all,
+    rejects_of,
+    sessions_in,
     write_arcore_logger,
     write_cambridge,
     write_record3d,
@@ -31,18 +32,6 @@ from tests.capture_import.capture_writers import (
     write_video,
 )
 from tests.known import rows, there
-
-
-def find_one(root: Path) -> RecordingSource:
-    found = find_recordings(root, root.parent / "unpacked", Limits())
-    assert len(found) == 1
-    return found[0]
-
-
-def take(root: Path) -> Intake:
-    settings = ImportSettings()
-    raw = find_one(root).read(Limits())
-    return take_in(raw, settings, scan_all([root.resolve(), root.parent / "unpacked"], Limits()))
 
 
 def test_every_format_has_a_writer() -> None:
@@ -54,9 +43,8 @@ def test_a_written_walk_reads_back_the_same(tmp_path: Path, name: str) -> None:
     walk, writer = make_walk(24), WRITERS[name]
     writer.write(tmp_path / "place" / "walk", walk)
     assert find_one(tmp_path / "place").format.id == name
-    intake = take(tmp_path / "place")
-    (session,) = intake.sessions
-    assert not intake.rejects
+    (session,) = sessions_in(tmp_path / "place")
+    assert not session.rejects
     # Which instants of the walk the format kept: all, or those with an image.
     t_ns, poses = session.t_ns, session.poses
     kept = np.arange(24) if len(t_ns) == 24 else np.flatnonzero(walk.has_image)
@@ -87,6 +75,8 @@ IMAGES = {
     "nerf_capture": "images/*.png",
     "frames_jsonl": "images/*",
     "arkit_scenes": "*wide/*.png",
+    "tum": "rgb/*",
+    "rtabmap": "scan_rgb/*",
     "seven_scenes": "*.color.png",
     "cambridge": "*.[jp][pn]g",
     "colmap": "images/*",
@@ -118,7 +108,7 @@ def test_each_image_is_read_or_a_reject(tmp_path: Path, name: str) -> None:
         rejected |= read
     assert expected <= rejected
     assert upper in read | rejected
-    assert (upper in read) or name in ("frames_jsonl", "cambridge", "colmap", "nerfstudio", "nerf_capture")
+    assert (upper in read) or name in ("frames_jsonl", "tum", "cambridge", "colmap", "nerfstudio", "nerf_capture")
     assert {p.name for p in rest} <= read
 
 
@@ -157,18 +147,17 @@ def test_rows_that_only_add_a_tag_are_not_read(tmp_path: Path) -> None:
     rows[8:8] = [f"{rows[7]} TAG001 ", f"{turned} TAG001 TAG002"]
     rows[12:12] = [f"{lost} TAG001"]
     file.write_text("\n".join([comment, *rows]))
-    intake = take(tmp_path / "place")
-    (session,) = intake.sessions
+    (session,) = sessions_in(tmp_path / "place")
     np.testing.assert_allclose(session.poses, walk.vio_T_cam, atol=1e-9)
     assert "2 rows only add a tag" in session.recording.notes[1]
     # A tag without a pose of its time is no repetition: its row is told.
-    assert [reject.source for reject in intake.rejects] == ["ARCore_sensor_pose.txt line 14"]
+    assert [reject.source for reject in session.rejects] == ["ARCore_sensor_pose.txt line 14"]
 
 
 def test_older_stray_scanner_has_one_camera_for_all(tmp_path: Path) -> None:
     walk = make_walk(12)
     write_stray_scanner(tmp_path / "place" / "walk", walk, per_frame=False)
-    (session,) = take(tmp_path / "place").sessions
+    (session,) = sessions_in(tmp_path / "place")
     assert {i.frame.intrinsics.fx for i in session.images if i.frame.intrinsics} == {walk.camera[-1, 0]}
     assert "last frame" in session.recording.notes[0]
 
@@ -179,22 +168,21 @@ def test_video_that_starts_elsewhere_is_not_joined_silently(tmp_path: Path) -> N
     write_stray_scanner(folder, walk)
     # One frame fewer at the end is told; frames missing in the middle are refused.
     write_video(folder / "rgb.mp4", walk, np.arange(23))
-    intake = take(tmp_path / "place")
-    assert [r.reason for r in intake.rejects] == ["video ends before this frame"]
+    assert [r.reason for r in rejects_of(sessions_in(tmp_path / "place"))] == ["video ends before this frame"]
     header, *rows = (folder / "odometry.csv").read_text().splitlines()
     numbered = [row.split(", ") for row in rows[:4] + rows[12:]]
     rows = [", ".join([time, f"{n:06d}", *rest]) for n, (time, _, *rest) in enumerate(numbered)]
     (folder / "odometry.csv").write_text("\n".join([header, *rows]))
     with pytest.raises(UserError, match="can't be joined"):
-        take(tmp_path / "place")
+        sessions_in(tmp_path / "place")
 
 
 def test_record3d_archive_is_read_like_its_folder(tmp_path: Path) -> None:
     walk = make_walk(24)
     write_record3d(tmp_path / "place" / "walk", walk, archive=True)
     found = find_one(tmp_path / "place")
-    assert found.session_id == "walk" and found.format.id == "record3d"
-    (session,) = take(tmp_path / "place").sessions
+    assert found.recording_id == "walk" and found.format.id == "record3d"
+    (session,) = sessions_in(tmp_path / "place")
     np.testing.assert_allclose(session.poses, walk.vio_T_cam, atol=1e-9)
     assert len(session.images) == 12
 
@@ -220,15 +208,15 @@ def test_public_data_sets_keep_their_split_and_have_no_vio(tmp_path: Path) -> No
 
 def test_real_recordings_are_read(shared_captures: Path, shared_trajectories: Path, tmp_path: Path) -> None:
     found = find_recordings(shared_trajectories, tmp_path, Limits())
-    rows = {f"{f.format.id} {f.session_id}": f.read(Limits()) for f in found}
+    rows = {f"{f.format.id} {f.recording_id}": f.read(Limits()) for f in found}
     assert {name.split()[0] for name in rows} == {"arkit_logger", "arcore_logger", "invisible_map", "spectacular_ai"}
     jumps = {}
     for name, raw in rows.items():
-        intake = take_in(raw, ImportSettings(), lambda frames: [])
-        assert not intake.rejects, name
+        sessions = sound_sessions(raw, lambda frames: [], 0.5)
+        assert not rejects_of(sessions), name
         # ARCore turns its world by some degrees as it starts, hardly moving it.
-        jumps[name] = [round(j.jump_m, 1) for s in intake.sessions for j, _ in s.jumps if j.jump_m > 0.1]
-        (first, *_) = intake.sessions
+        jumps[name] = [round(j.jump_m, 1) for s in sessions for j in s.jumps if j.jump_m > 0.1]
+        first = sessions[0]
         # Phones are held so that the camera looks more or less ahead: its view axis is rarely vertical.
         assert abs(np.median(first.poses[:, 1, 2])) < 0.95, name
     assert {name: found for name, found in jumps.items() if found} == {

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundwalk.capture_import.capture import Intrinsics, Limits, RawSession
+from groundwalk.capture_import.capture import Intrinsics, Limits, Recording
 from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.colmap import _Camera, _intrinsics
@@ -40,7 +40,7 @@ FISHEYE = {
 }
 
 
-def read_all(root: Path) -> list[RawSession]:
+def read_all(root: Path) -> list[Recording]:
     return [found.read(Limits()) for found in find_recordings(root, root.parent / "unpacked", Limits())]
 
 
@@ -224,7 +224,7 @@ def test_each_folder_of_images_is_a_recording(tmp_path: Path, write: Callable[[P
         model.write_binary(root / "sparse" / "0")
         (root / "test.txt").write_text("".join(f"b/{i:06d}.jpg\n" for i in range(5, 8)))
     sessions = read_all(tmp_path)
-    assert [(s.session_id, [f.split for f in s.frames]) for s in sessions] == [
+    assert [(s.recording_id, [f.split for f in s.frames]) for s in sessions] == [
         ("a", 5 * ["train"]),
         ("b", 3 * ["test"]),
     ]
@@ -266,7 +266,9 @@ def test_images_that_have_no_pose_are_rejects(tmp_path: Path, write: Callable[[P
     image = next((tmp_path / "place" / "images").iterdir())
     (image.parent / "unregistered.jpg").write_bytes(image.read_bytes())
     (raw,) = read_all(tmp_path / "place")
-    assert [(r.source, r.reason) for r in raw.rejects] == [("unregistered.jpg", "image isn't among those with poses")]
+    assert [(r.source, r.reason) for r in raw.rejects] == [
+        ("images/unregistered.jpg", "no row of the log that can be read names this image")
+    ]
 
 
 def test_rows_of_nerfstudio_without_an_image_are_rejects(tmp_path: Path) -> None:

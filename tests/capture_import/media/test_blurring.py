@@ -83,13 +83,12 @@ def test_metadata_goes_and_pixels_stay(write: Callable[[int], bytes]) -> None:
     assert without_metadata(bare) == bare
 
 
-@pytest.mark.parametrize("images", ["copy", "link"])
-def test_copied_images_tell_no_place(tmp_path: Path, images: str) -> None:
+def test_copied_images_tell_no_place(tmp_path: Path) -> None:
     folder = tmp_path / "captures" / "place" / "walk"
     write_scanner_app(folder, make_walk())
     for path in folder.glob("*.jpg"):
         path.write_bytes(jpeg_with_metadata(int(path.stem[-5:])))
-    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), [f"images='{images}'"])
+    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["images='copy'"])
     written = list((artefact / "images").rglob("*.jpg"))
     assert len(written) == 12
     for path in artefact.rglob("*"):

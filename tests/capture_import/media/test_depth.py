@@ -99,7 +99,7 @@ def run(data: Path, *settings: str) -> tuple[Path, pd.DataFrame, pd.DataFrame]:
     return folder, pd.read_parquet(folder / "frames.parquet"), pd.read_parquet(folder / "rejects.parquet")
 
 
-@pytest.mark.parametrize("images", ["reference", "copy", "link"])
+@pytest.mark.parametrize("images", ["reference", "copy"])
 def test_depth_goes_where_images_go(tmp_path: Path, images: str) -> None:
     scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(8))
     folder, frames, rejects = run(tmp_path, f"images={images!r}")

@@ -1,6 +1,5 @@
 """Frames of a video are told by their time: seeking, lost frames and frames written ahead don't mix them up."""
 
-import shutil
 from pathlib import Path
 
 import av
@@ -8,13 +7,9 @@ import numpy as np
 import pytest
 
 from groundwalk.capture_import.capture import Limits
-from groundwalk.capture_import.definition import STAGE
-from groundwalk.capture_import.media import placing
-from groundwalk.capture_import.media.spool import Spool
 from groundwalk.capture_import.media.video import decode, frame_times, gray_pixels, require_row_per_frame, rgb_pixels
-from groundwalk.store import DataRoot, UserError, execute
-from groundwalk.store.manifests import load_manifest
-from tests.capture_import.capture_writers import HEIGHT, WIDTH, image, make_walk, video_frame, write_stray_scanner
+from groundwalk.store import UserError
+from tests.capture_import.capture_writers import HEIGHT, WIDTH, image, video_frame
 
 
 def write_long_video(path: Path, count: int, rate_hz: int = 10) -> None:
@@ -72,31 +67,10 @@ def test_brightness_is_read_as_the_converter_reads_it(tmp_path: Path) -> None:
     write_long_video(path, 3)
     for _, frame in decode(path, {0, 2}, Limits()):
         exact = frame.to_ndarray(format="gray").astype(float)
-        gray = gray_pixels(frame, 1000).astype(float)
+        gray = gray_pixels(frame).astype(float)
         assert gray.shape == (HEIGHT, WIDTH)
         # The plane holds 16 to 235, the converted image 0 to 255.
         np.testing.assert_allclose((gray - 16) * 255 / 219, exact, atol=2)
-        assert gray_pixels(frame, 48).shape == (36, 48)
-
-
-@pytest.mark.parametrize("share", [0, 0.5, 1, 5])
-def test_frames_written_ahead_are_the_frames_that_are_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, share: float
-) -> None:
-    settings = ["min_frames=0", "rate_hz=1", f"max_support_fraction={share}"]
-    write_stray_scanner(tmp_path / "ahead" / "captures" / "place" / "walk", make_walk(240, rate_hz=30.0, every=1))
-    shutil.copytree(tmp_path / "ahead", tmp_path / "again")
-    with monkeypatch.context() as patch:
-        patch.setattr(placing, "decode", lambda *_: pytest.fail("the video is decoded again"))
-        ahead = load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path / "ahead"), settings))
-    assert ahead["figures"]["frames"] == 9
-    if share < 5:
-        assert ahead["figures"]["support_frames"] == int(9 * share)
-    else:  # ten metres
-        assert 25 <= ahead["figures"]["support_frames"] <= 40
-    monkeypatch.setattr(Spool, "add", lambda *_: None)
-    again = load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path / "again"), settings))
-    assert ahead["outputs"] == again["outputs"] and any(name.endswith(".jpg") for name in ahead["outputs"])
 
 
 def test_a_log_with_another_number_of_rows_is_refused(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from groundwalk.capture_import.capture import Limits, RawSession
+from groundwalk.capture_import.capture import Limits, Recording
 from groundwalk.capture_import.formats import Format
 
 NOT_A_RECORD = {"id": "no_record"}
@@ -10,10 +10,8 @@ def detect(path: Path) -> bool:
     raise RuntimeError("no idea")
 
 
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+def read(path: Path, limits: Limits) -> Recording:
     raise AssertionError("nothing is detected")
 
 
-FAILS_TO_DETECT = Format(
-    id="fails_to_detect", label="fails", meaning="nothing", looks_for="nothing", detect=detect, read=read
-)
+FAILS_TO_DETECT = Format(id="fails_to_detect", label="fails", meaning="nothing", files=(), detect=detect, read=read)

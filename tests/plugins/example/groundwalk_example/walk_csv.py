@@ -7,15 +7,14 @@
 import csv
 from pathlib import Path
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
-    collect,
     inside,
     lines_of,
     number,
     quaternion_pose,
-    refuse_unreadable,
+    read_rows,
     seconds_to_ns,
 )
 from groundwalk.store import UserError
@@ -24,21 +23,16 @@ from groundwalk.store.choices import Clock, Tracking
 COLUMNS = ["t_s", "image", "fx", "fy", "cx", "cy", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 
 
-def detect(path: Path) -> bool:
-    """A folder with walk.csv."""
-    return (path / "walk.csv").is_file()
-
-
-def read(path: Path, session_id: str, limits: Limits) -> RawSession:
-    """A row that can't be read becomes a reject; a file without a readable row is a UserError."""
+def read(path: Path, limits: Limits) -> Recording:
+    """A row that can't be read becomes a reject."""
     header, *lines = lines_of(path / "walk.csv", limits) or [("", "")]
     if header[1].split(",") != COLUMNS:
         raise UserError("walk.csv has other columns", where=path, expected=",".join(COLUMNS), found=header[1])
 
-    def read_row(source: str, line: tuple[int, str]) -> RawFrame:
-        row = dict(zip(COLUMNS, next(csv.reader([line[1]])), strict=False))
+    def read_row(index: int, source: str, line: str) -> RawFrame:
+        row = dict(zip(COLUMNS, next(csv.reader([line])), strict=False))
         return RawFrame(
-            number=line[0],
+            number=index,
             source=source,
             t_ns=seconds_to_ns(number(row, "t_s")),
             vio_T_cam=quaternion_pose(
@@ -49,17 +43,14 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             tracking=Tracking.NORMAL,
         )
 
-    rows = [(source, (index, text)) for index, (source, text) in enumerate(lines)]
-    frames, rejects = collect(rows, session_id, read_row)
-    refuse_unreadable(path, frames, rejects, ",".join(COLUMNS))
-    return RawSession(session_id, FORMAT.id, "unknown", Clock.BOOT, path, frames, rejects)
+    frames, rejects = read_rows(lines, read_row)
+    return Recording("unknown", Clock.BOOT, path, frames, rejects)
 
 
 FORMAT = Format(
     id="walk_csv",
     label="walk.csv",
     meaning="images, VIO",
-    looks_for="walk.csv",
-    detect=detect,
+    files=("walk.csv",),
     read=read,
 )

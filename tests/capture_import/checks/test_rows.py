@@ -12,41 +12,43 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, RawSession
-from groundwalk.capture_import.checks.health import check_session, find_jumps, gravity_of
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, Recording
+from groundwalk.capture_import.checks.jumps import find_jumps
+from groundwalk.capture_import.checks.rows import check_rows
 from groundwalk.capture_import.media.images import BadImage, check_image, sharpness
+from groundwalk.geometry.gravity import gravity_in_camera
 from groundwalk.geometry.poses import Array, make_pose, nearest_rotation, rotation_angle, yaw_rotation
 from groundwalk.store.choices import Clock
 from tests.capture_import.capture_writers import image, make_walk
 
 
-def session_of(t_ns: np.ndarray, poses: list[Array | None]) -> RawSession:
+def session_of(t_ns: np.ndarray, poses: list[Array | None]) -> Recording:
     frames = [RawFrame(i, f"row {i}", int(t), pose) for i, (t, pose) in enumerate(zip(t_ns, poses, strict=True))]
-    return RawSession("walk", "test", "phone", Clock.BOOT, Path(), frames)
+    return Recording("phone", Clock.BOOT, Path(), frames)
 
 
 @given(st.lists(st.integers(0, 2**62), max_size=60))
 def test_kept_times_rise_and_nothing_vanishes(times: list[int]) -> None:
-    checked = check_session(session_of(np.array(times, dtype=np.int64), [np.eye(4)] * len(times)), 0.5)
-    kept = [f.t_ns for f in checked.frames]
+    frames, rejects = check_rows(session_of(np.array(times, dtype=np.int64), [np.eye(4)] * len(times)))
+    kept = [f.t_ns for f in frames]
     assert all(a < b for a, b in pairwise(kept))
-    assert len(kept) + len(checked.rejects) == len(times)
+    assert len(kept) + len(rejects) == len(times)
 
 
 def test_one_wild_time_costs_one_row() -> None:
     t_ns = np.arange(50) * 10**8
     t_ns[20] = 10**17
-    checked = check_session(session_of(t_ns, [np.eye(4)] * 50), 0.5)
-    assert [r.source for r in checked.rejects] == ["row 20"]
+    _, rejects = check_rows(session_of(t_ns, [np.eye(4)] * 50))
+    assert [r.source for r in rejects] == ["row 20"]
 
 
 def test_poses_between_poses_are_interpolated_and_gaps_are_not_bridged() -> None:
     walk = make_walk(60)
     missing = [i for i in range(60) if i % 3 == 1 or 30 < i < 40]
     poses: list[Array | None] = [None if i in missing else pose for i, pose in enumerate(walk.vio_T_cam)]
-    checked = check_session(session_of(walk.t_ns, poses), 0.5)
-    assert [r.source for r in checked.rejects] == [f"row {i}" for i in range(31, 41)]
-    for frame in checked.frames:
+    posed, rejects = check_rows(session_of(walk.t_ns, poses))
+    assert [r.source for r in rejects] == [f"row {i}" for i in range(31, 41)]
+    for frame in posed:
         assert frame.vio_T_cam is not None
         off = np.linalg.inv(frame.vio_T_cam) @ walk.vio_T_cam[frame.number]
         assert np.linalg.norm(off[:3, 3]) < 5e-3 and rotation_angle(off[:3, :3]) < 5e-3
@@ -66,7 +68,7 @@ def test_an_image_whose_lens_has_no_place_in_the_tables_is_left_out(
     session = session_of(np.arange(3) * 10**8, [np.eye(4)] * 3)
     camera = Intrinsics(480.0, 480.0, 320.0, 240.0, 640, 480, distortion)
     frames = [replace(frame, image=ImageFile(Path("a.jpg")), intrinsics=camera) for frame in session.frames]
-    reasons = [reject.reason for reject in check_session(replace(session, frames=frames), 0.5).rejects]
+    reasons = [reject.reason for reject in check_rows(replace(session, frames=frames))[1]]
     assert len(reasons) == (0 if fault is None else 3) and all(str(fault) in reason for reason in reasons)
 
 
@@ -104,7 +106,7 @@ def test_jumps_in_real_walks(shared_trajectories: Path) -> None:
 
 def test_gravity_points_down_in_the_image_of_an_upright_phone() -> None:
     walk = make_walk(40)
-    gravity = gravity_of(walk.vio_T_cam)
+    gravity = gravity_in_camera(walk.vio_T_cam)
     np.testing.assert_allclose(np.linalg.norm(gravity, axis=1), 1)
     # Back in the world it is -y.
     world = np.einsum("nij,nj->ni", walk.vio_T_cam[:, :3, :3], gravity)
@@ -129,7 +131,7 @@ def test_a_damaged_image_is_refused_or_measured(at: int, junk: bytes) -> None:
     data[at : at + len(junk)] = junk
     for content in (bytes(data), bytes(data[:at])):
         try:
-            check, *_ = check_image(content, 1.0)
+            check = check_image(content, 1.0)
         except BadImage:
             continue
         assert 0 <= check.sharpness <= 1

@@ -1,16 +1,13 @@
-"""Which rows of a log are sound: poses, times, and VIO jumps."""
+"""Which rows of a log are sound: poses, intrinsics and times."""
 
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import median_filter
-from scipy.spatial.transform import Rotation
 
-from groundwalk.capture_import.capture import Intrinsics, RawFrame, RawSession, Reject
-from groundwalk.geometry.poses import Array, interpolate, inverse, nearest_rotation, rigidity_error
+from groundwalk.capture_import.capture import Intrinsics, RawFrame, Recording, Reject, poses_of
+from groundwalk.geometry.poses import Array, interpolate, nearest_rotation, rigidity_error
 from groundwalk.store.choices import PoseSource, Tracking
 
 # Float32 logs are off by 1e-6, rounded text logs by 1e-3 at most; a wrong convention by far more.
@@ -22,114 +19,57 @@ _MAX_ENTRY = 1e5
 _MAX_POSITION_M, _MAX_POSITION_EXTENTS, _NINE_IN_TEN = 1e5, 1e3, 90
 # OpenCV's k1, k2, p1, p2, k3 to k6; those of the widest fisheye lenses are some tens.
 _MAX_COEFFICIENTS, _MAX_COEFFICIENT = 8, 1e4
-
+# Poses further apart aren't interpolated between: a hand may turn by a right angle meanwhile.
+_MAX_GAP_S = 0.5
+_WORST_LAST = (Tracking.UNKNOWN, Tracking.NORMAL, Tracking.LIMITED, Tracking.LOST)
 # Grey levels, of 255: a covered lens with a sensor's noise has 0 to 1, a dim or dull view 30 and more.
 _MIN_CONTRAST = 2.0
 
-# A jump is motion that no hand does: beyond what an acceleration of 4 m/s^2 or 600 deg/s^2 changes between two poses,
-# beyond the noise of a pose, and far beyond what the same hand does around that moment.
-_ACCELERATION_M_S2 = 4.0
-_ACCELERATION_DEG_S2 = 600.0
-_NOISE_M = 0.03
-_NOISE_DEG = 3.0
-_MIN_RATIO = 8.0
-_CONTEXT = 4
-_MEDIAN_STEPS = 60
 
-
-@dataclass(frozen=True)
-class Jump:
-    """A step of the odometry from pose `index - 1` to `index` that its surroundings don't explain."""
-
-    index: int
-    t_ns: int
-    dt_s: float
-    jump_m: float
-    jump_deg: float
-
-
-@dataclass(frozen=True)
-class SoundRows:
-    """A session's sound rows: times strictly rising, every pose rigid, every image with intrinsics and a pose."""
-
-    frames: list[RawFrame]
-    rejects: list[Reject]
-
-
-def check_session(session: RawSession, max_gap_s: float) -> SoundRows:
-    """The sound rows of a session, and why the others aren't.
+def check_rows(recording: Recording) -> tuple[list[RawFrame], list[Reject]]:
+    """The sound rows of a recording (times strictly rising, every pose rigid, every image with intrinsics and a pose),
+    and why the others aren't.
 
     Poses come out orthonormal. A row without a pose gets one interpolated between the poses around it, unless these
-    are further apart than `max_gap_s`.
+    are too far apart.
     """
-    rejects = list(session.rejects)
-
-    def reject(frame: RawFrame, reason: str) -> None:
-        rejects.append(Reject(session.session_id, frame.source, frame.t_ns, reason, frame.content))
-
+    rejects = list(recording.rejects)
+    is_reference = recording.pose_source == PoseSource.REFERENCE
+    position_fault = _reference_position_fault(recording) if is_reference else _vio_position_fault
     readable = []
-    is_reference = session.pose_source == PoseSource.REFERENCE
-    position_fault = _reference_position_fault(session) if is_reference else _vio_position_fault
-    for frame in session.frames:
+    for frame in recording.frames:
         reason = _pose_fault(frame.vio_T_cam, position_fault) or _intrinsics_fault(frame)
         if reason:
-            reject(frame, reason)
+            rejects.append(Reject.of(frame, reason))
         else:
             readable.append(_orthonormal(frame))
 
-    ordered = []
-    last_ns = None
+    ordered: list[RawFrame] = []
     for frame, is_rising in zip(readable, _longest_rising([f.t_ns for f in readable]), strict=True):
         if is_rising:
             ordered.append(frame)
-            last_ns = frame.t_ns
         else:
-            reject(frame, "time is a duplicate" if frame.t_ns == last_ns else "time goes backward")
+            is_same = ordered and frame.t_ns == ordered[-1].t_ns
+            rejects.append(Reject.of(frame, "time is a duplicate" if is_same else "time goes backward"))
 
     frames = []
-    for frame, posed in zip(ordered, _with_poses(ordered, max_gap_s), strict=True):
+    for frame, posed in zip(ordered, _with_poses(ordered), strict=True):
         if posed is None:
-            reject(frame, f"no pose within {max_gap_s:g} s on both sides")
+            rejects.append(Reject.of(frame, f"no pose within {_MAX_GAP_S:g} s on both sides"))
+        elif posed.tracking == Tracking.LOST:
+            rejects.append(Reject.of(posed, "not tracking"))
         else:
             frames.append(posed)
-    return SoundRows(frames, rejects)
-
-
-def find_jumps(t_ns: NDArray[np.int64], poses: Array) -> list[Jump]:
-    """Steps between poses (N, 4, 4) at rising times (N,) that no hand can do.
-
-    Each step is compared with the motion that the steps around it extrapolate (their median velocity, so that one
-    neighbouring jump doesn't matter); the residual must be explained by acceleration, pose noise, or the median
-    residual in the neighbourhood.
-    """
-    if len(poses) < 4:
-        return []
-    dt: Array = np.diff(t_ns).astype(float) * 1e-9
-    velocity = np.diff(poses[:, :3, 3], axis=0) / dt[:, None]
-    # Rotation in the world's axes, so that neighbouring steps can be averaged.
-    steps = poses[1:, :3, :3] @ np.swapaxes(poses[:-1, :3, :3], -1, -2)
-    rate = np.degrees(Rotation.from_matrix(steps).as_rotvec()) / dt[:, None]
-    beyond_m = _beyond_context(velocity, dt)
-    beyond_deg = _beyond_context(rate, dt)
-    limit_m = np.maximum(_NOISE_M + _ACCELERATION_M_S2 * dt**2, _MIN_RATIO * _running_median(beyond_m))
-    limit_deg = np.maximum(_NOISE_DEG + _ACCELERATION_DEG_S2 * dt**2, _MIN_RATIO * _running_median(beyond_deg))
-    jumps = np.flatnonzero((beyond_m > limit_m) | (beyond_deg > limit_deg))
-    return [Jump(int(i) + 1, int(t_ns[i + 1]), float(dt[i]), float(beyond_m[i]), float(beyond_deg[i])) for i in jumps]
-
-
-def gravity_of(world_T_cam: Array) -> Array:
-    """Unit vectors of gravity in camera axes (..., 3), for worlds whose +y is up."""
-    down: Array = inverse(world_T_cam)[..., :3, :3] @ np.array([0.0, -1.0, 0.0])
-    return down
+    return frames, rejects
 
 
 def _vio_position_fault(position: Array) -> str | None:
     return "pose is more than 100 km from the origin" if np.abs(position).max() > _MAX_POSITION_M else None
 
 
-def _reference_position_fault(session: RawSession) -> Callable[[Array], str | None]:
+def _reference_position_fault(recording: Recording) -> Callable[[Array], str | None]:
     """What is wrong with a position (3,) among those of a reference."""
-    poses = [frame.vio_T_cam for frame in session.frames if frame.vio_T_cam is not None]
+    poses = [frame.vio_T_cam for frame in recording.frames if frame.vio_T_cam is not None]
     positions = np.array([pose[:3, 3] for pose in poses if np.isfinite(pose).all()]).reshape(-1, 3)
     if not len(positions):
         return lambda _: None
@@ -225,19 +165,20 @@ def _longest_rising(times: Sequence[int]) -> list[bool]:
     return is_rising
 
 
-def _with_poses(frames: list[RawFrame], max_gap_s: float) -> list[RawFrame | None]:
+def _with_poses(frames: list[RawFrame]) -> list[RawFrame | None]:
+    """The rows, those without a pose with one between its neighbours' where these are near in time."""
     posed = [f for f in frames if f.vio_T_cam is not None]
     if len(posed) == len(frames):
         return list(frames)
     times = np.array([f.t_ns for f in posed], dtype=np.int64)
-    poses = np.array([f.vio_T_cam for f in posed]).reshape(-1, 4, 4)
+    poses = poses_of(posed)
     out: list[RawFrame | None] = []
     for frame in frames:
         if frame.vio_T_cam is not None:
             out.append(frame)
             continue
         after = int(np.searchsorted(times, frame.t_ns))
-        if after == 0 or after == len(times) or (times[after] - times[after - 1]) * 1e-9 > max_gap_s:
+        if after == 0 or after == len(times) or (times[after] - times[after - 1]) * 1e-9 > _MAX_GAP_S:
             out.append(None)
             continue
         around = slice(after - 1, after + 1)
@@ -246,20 +187,3 @@ def _with_poses(frames: list[RawFrame], max_gap_s: float) -> list[RawFrame | Non
         tracking = max((posed[after - 1].tracking, posed[after].tracking), key=_WORST_LAST.index)
         out.append(replace(frame, vio_T_cam=pose, tracking=tracking))
     return out
-
-
-_WORST_LAST = (Tracking.UNKNOWN, Tracking.NORMAL, Tracking.LIMITED, Tracking.LOST)
-
-
-def _beyond_context(rate_N3: Array, dt: Array) -> Array:
-    """Per step: the length of its change beyond what the median rate of the steps around it predicts."""
-    padded = np.pad(rate_N3, ((_CONTEXT, _CONTEXT), (0, 0)), constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _CONTEXT + 1, axis=0)
-    around = np.delete(windows, _CONTEXT, axis=-1)
-    beyond: Array = np.linalg.norm(rate_N3 - np.nanmedian(around, axis=-1), axis=-1) * dt
-    return beyond
-
-
-def _running_median(values: Array) -> Array:
-    medians: Array = median_filter(values, size=_MEDIAN_STEPS + 1, mode="nearest")
-    return medians

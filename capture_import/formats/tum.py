@@ -1,0 +1,89 @@
+"""TUM RGB-D's lists: `rgb.txt` and `groundtruth.txt`, with `depth.txt` where there is depth.
+
+Documented at https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats. What matters:
+
+- `rgb.txt` and `depth.txt`: time in seconds and a path; `groundtruth.txt`: time, tx ty tz, qx qy qz qw, camera to
+  world with OpenCV's camera axes; the three have times of their own and are joined by them;
+- poses come from motion capture, or from whatever tool wrote the list: a reference, not VIO, and nothing says where up
+  is;
+- depth is 16 bits with 5000 a metre, and belongs to an image by its time: it isn't read;
+- no intrinsics are in it: `camera.txt` beside, which isn't part of the format, may have fx fy cx cy (and k1 k2 p1 p2
+  k3); without it import finds the focal length by the poses and the images.
+"""
+
+from pathlib import Path
+
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import guessed_intrinsics, size_of
+from groundwalk.capture_import.joining import join_by_time
+from groundwalk.capture_import.parsing import (
+    BadRow,
+    inside,
+    lines_of,
+    quaternion_pose,
+    read_rows,
+    read_text,
+    seconds_to_ns,
+    split_numbers,
+    to_number,
+)
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock, PoseSource
+
+
+def read(path: Path, limits: Limits) -> Recording:
+    """Read both lists; poses are interpolated where an image lies between two rows."""
+    poses, rejects = read_rows(lines_of(path / "groundtruth.txt", limits), read_pose)
+    camera = _camera(path / "camera.txt")
+
+    def read_image(number: int, source: str, line: str) -> RawFrame:
+        time, _, name = line.strip().partition(" ")
+        image = inside(path, name.strip())
+        return RawFrame(
+            number=number,
+            source=source,
+            t_ns=seconds_to_ns(to_number(time, "time")),
+            vio_T_cam=None,
+            image=ImageFile(image),
+            intrinsics=camera or guessed_intrinsics(*size_of(image)),
+        )
+
+    images, more = read_rows(lines_of(path / "rgb.txt", limits), read_image)
+    return Recording(
+        "unknown",
+        Clock.UNIX,
+        path,
+        join_by_time(poses, images),
+        [*rejects, *more],
+        pose_source=PoseSource.REFERENCE,
+        is_gravity_aligned=False,
+        has_intrinsics=camera is not None,
+    )
+
+
+def read_pose(number: int, source: str, line: str) -> RawFrame:
+    """A row of TUM's trajectory format; further numbers in it count for nothing."""
+    values = split_numbers(line)
+    if len(values) < 8:
+        raise BadRow(f"row has {len(values)} numbers, not 8")
+    return RawFrame(number, source, seconds_to_ns(values[0]), quaternion_pose(values[1:4], values[4:8]))
+
+
+def _camera(file: Path) -> Intrinsics | None:
+    if not file.is_file():
+        return None
+    try:
+        fx, fy, cx, cy, *distortion = split_numbers(read_text(file))
+    except (BadRow, ValueError) as error:
+        raise UserError("the camera can't be read", where=file, expected="fx fy cx cy", found=error) from None
+    return Intrinsics(fx, fy, cx, cy, distortion=tuple(distortion))
+
+
+FORMAT = Format(
+    id="tum",
+    label="TUM RGB-D lists",
+    meaning="images, reference poses",
+    files=("rgb.txt", "groundtruth.txt"),
+    read=read,
+)

@@ -1,0 +1,100 @@
+"""Reading the images of a recording, files or frames of a video: sound or not, size and sharpness, and in grey."""
+
+import stat
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import numpy as np
+
+from groundwalk.capture_import.capture import ImageCheck, ImageFile, Limits, RawFrame, VideoFrame
+from groundwalk.capture_import.media.images import (
+    WORKING_LONG_SIDE,
+    BadImage,
+    Gray,
+    check_image,
+    decode_gray,
+    measured,
+    shrunk,
+)
+from groundwalk.capture_import.media.video import decode, gray_pixels
+from groundwalk.store.parallel import in_parallel
+
+# A sound JPEG or PNG has fewer bytes than this a pixel, and a header with metadata.
+_BYTES_A_PIXEL = 4
+_HEADER_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class ImageReader:
+    """Reads images within limits; files must lie in one of `roots`."""
+
+    roots: Sequence[Path]
+    limits: Limits
+
+    def check(self, frames: Sequence[RawFrame]) -> Iterator[ImageCheck | str]:
+        """For each frame, in order: what was measured of its image, or why it can't be used. Files are decoded on all
+        cores and a video in one go, so that memory holds a few images at once."""
+        if any(isinstance(frame.image, VideoFrame) for frame in frames):
+            return self._check_video(frames)
+        return in_parallel(
+            self._check_file, [frame.image.path for frame in frames if isinstance(frame.image, ImageFile)]
+        )
+
+    def gray(self, frames: Sequence[RawFrame], long_side: int) -> Iterator[tuple[RawFrame, Gray]]:
+        """Frames that have passed the check, in order, each with its image (H, W) scaled down to the long side. A
+        damaged video may not give a frame again."""
+        of_video = {frame.image.index: frame for frame in frames if isinstance(frame.image, VideoFrame)}
+        if of_video:
+            path = next(frame.image.path for frame in frames if isinstance(frame.image, VideoFrame))
+            for index, decoded in decode(path, set(of_video), self.limits):
+                yield of_video[index], shrunk(_working_gray(decoded), long_side)
+            return
+        files = [(frame, frame.image.path) for frame in frames if isinstance(frame.image, ImageFile)]
+        yield from in_parallel(lambda file: (file[0], self._gray(file[1], long_side)), files)
+
+    def _gray(self, path: Path, long_side: int) -> Gray:
+        return np.asarray(shrunk(decode_gray(self._bytes(path), WORKING_LONG_SIDE), long_side), np.uint8)
+
+    def _check_file(self, path: Path) -> ImageCheck | str:
+        try:
+            return check_image(self._bytes(path), self.limits.max_megapixels)
+        except BadImage as error:
+            return str(error)
+
+    def _check_video(self, frames: Sequence[RawFrame]) -> Iterator[ImageCheck | str]:
+        refs = [frame.image for frame in frames if isinstance(frame.image, VideoFrame)]
+        assert len(refs) == len(frames) and len({ref.path for ref in refs}) == 1  # one video a recording
+        images = decode(refs[0].path, {ref.index for ref in refs}, self.limits)
+        at, check = -1, None
+        for ref in refs:
+            while at < ref.index and (decoded := next(images, None)) is not None:
+                at, image = decoded
+                # A frame has no file to hash until it's written.
+                check = measured(_working_gray(image), image.width, image.height)
+            if check is not None and at == ref.index:
+                yield check
+            else:
+                yield "video frame is missing or out of order" if at > ref.index else "video ends before this frame"
+
+    def _bytes(self, path: Path) -> bytes:
+        """An image file's bytes; BadImage for one that is no ordinary file, leads out of `roots`, or is too large."""
+        try:
+            resolved = path.resolve()
+            if not any(resolved.is_relative_to(root) for root in self.roots):
+                raise BadImage("image is a link that leads out of the capture folder")
+            status = resolved.stat()
+            if not stat.S_ISREG(status.st_mode):
+                raise BadImage("image is no ordinary file")
+            if status.st_size > self.limits.max_megapixels * 1e6 * _BYTES_A_PIXEL + _HEADER_BYTES:
+                raise BadImage(f"image file of {status.st_size} bytes is too large")
+            return resolved.read_bytes()
+        except (OSError, RuntimeError) as error:  # RuntimeError: a loop of links
+            inside = next((path.relative_to(root) for root in self.roots if path.is_relative_to(root)), path)
+            raise BadImage(f"image {inside} can't be read: {getattr(error, 'strerror', None) or error}") from None
+
+
+def _working_gray(frame: av.VideoFrame) -> Gray:
+    """A copy of a video frame's brightness (H, W) in the working size."""
+    return np.array(shrunk(gray_pixels(frame), WORKING_LONG_SIDE), np.uint8)

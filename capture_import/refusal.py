@@ -1,0 +1,92 @@
+"""Why a folder holds no capture that can be read: what was recognised, what is missing for it, and what to do."""
+
+import os
+import re
+import shlex
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import images_in, in_order
+from groundwalk.capture_import.parsing import first_bytes
+from groundwalk.store import UserError
+from groundwalk.store.hints import groundwalk_command
+from groundwalk.store.text import in_words, name_list
+
+_MAX_NEAREST = 3
+_MAX_FOLDERS = 200
+# What keys of an unknown log are about, by what apps and tools call them.
+_KEYS = {
+    "poses": r"transform|pose|matrix|rotation|quat|position|translation",
+    "intrinsics": r"intrinsic|focal|\bf[xy]\b|fl_x|^K$",
+    "times": r"time|stamp",
+}
+_LOGS = (".json", ".jsonl", ".csv", ".txt", ".yaml", ".yml")
+
+
+def no_capture(root: Path, formats: Sequence[Format], chosen: Format | None, others: str) -> UserError:
+    """The error for a folder or file in which no recording was found; `others` are recordings in other formats than
+    the chosen one."""
+    what = "no capture in a known format" if chosen is None else f"no capture in the format {chosen.id}"
+    if not root.is_dir():
+        return UserError(what, where=root, found="a file of an unknown kind", do=f"{groundwalk_command()} formats")
+    if around := [p for p in root.parents[:2] if any(f.fits(p) for f in formats if not f.is_file)]:
+        do = f"{groundwalk_command()} inspect {shlex.quote(str(around[0]))}"
+        return UserError(what, where=root, found=f"a part of the recording {around[0]}", do=do)
+    nearest = _nearest(root, formats)
+    logs = list(_unknown_logs(root))
+    found = others or "; ".join([_content(root), *logs])
+    if nearest:
+        do = "copy the recording again, with all its files; " + _formats_command()
+        others_like = "\n            ".join(nearest[1:])
+        return UserError(nearest[0], where=root, expected=others_like or None, found=found, do=do)
+    if logs:
+        do = "write frames.jsonl from it, in a few lines: docs/reference/capture-formats.md (from another app's log)"
+    else:
+        do = _formats_command() + "; any app can write frames.jsonl: docs/reference/capture-formats.md"
+    expected = None if chosen is None else f"{chosen.label}: {chosen.recognised_by}"
+    return UserError(what, where=root, expected=expected, found=found, do=do)
+
+
+def _formats_command() -> str:
+    return f"{groundwalk_command()} formats lists what is recognised"
+
+
+def _nearest(root: Path, formats: Iterable[Format]) -> list[str]:
+    """What is here and missing of the formats of which most is here, best first."""
+    folders = [root, *in_order(p for p in [*root.glob("*/"), *root.glob("*/*/")] if not p.name.startswith("."))]
+    partly = []
+    for folder in folders[:_MAX_FOLDERS]:
+        for form in (form for form in formats if not form.is_file):
+            here = form.has(folder)
+            # `images/` or `*.jpg` alone are in all captures.
+            names = list(zip(form.files, here, strict=True))
+            is_told = any(is_here and not re.fullmatch(r"\*\..*|[\w*]+/", name) for name, is_here in names)
+            if is_told and not all(here):
+                place = "" if folder == root else f" ({folder.relative_to(root)})"
+                found, missing = (
+                    [name.replace("|", " or ") for name, is_here in names if is_here == which]
+                    for which in (True, False)
+                )
+                verbs = [f"{in_words(n)} {'is' if len(n) == 1 else 'are'}" for n in (found, missing)]
+                partly.append((-sum(here) / len(here), f"{form.label}{place}: {verbs[0]} here, {verbs[1]} not"))
+    return [text for _, text in sorted(partly, key=lambda item: item[0])[:_MAX_NEAREST]]
+
+
+def _unknown_logs(folder: Path) -> Iterable[str]:
+    """What the keys of a folder's logs seem to be about."""
+    for log in (p for p in in_order(folder.iterdir()) if p.suffix.lower() in _LOGS):
+        text = first_bytes(log).decode("utf-8", "ignore")
+        keys = re.findall(r'"([A-Za-z_]\w{0,40})"\s*:', text) or re.findall(r"[A-Za-z_]\w*", text.partition("\n")[0])
+        about = []
+        for meaning, pattern in _KEYS.items():
+            if key := next((key for key in keys if re.search(pattern, key, re.IGNORECASE)), None):
+                about.append(f"{meaning} ({key})")
+        if about and about[0].startswith("poses"):
+            yield f"{log.name} seems to hold {in_words(about)}"
+
+
+def _content(folder: Path) -> str:
+    images = images_in(folder)
+    names = sorted(os.fsencode(p.name).decode("utf-8", "replace") for p in folder.iterdir() if p not in set(images))
+    return name_list([*([f"{len(images)} images"] if images else []), *names], 8)
