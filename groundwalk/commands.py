@@ -18,7 +18,7 @@ from groundwalk.store.files import read_json
 from groundwalk.store.hints import view_command
 from groundwalk.store.inputs import capture_files
 from groundwalk.store.manifests import MANIFEST, is_manifest, outdated_stages
-from groundwalk.store.settings import STAGES, DataRoot
+from groundwalk.store.settings import SHIPPED_DATA, STAGES, DataRoot
 from groundwalk.store.simulated import are_simulated, marker_of
 from groundwalk.store.text import printable
 
@@ -91,7 +91,7 @@ def judge(
     out = (out or Path("judged") / folder.name).absolute()
     name = re.sub(r"[^A-Za-z0-9_-]+", "-", folder.name).strip("-_") or "capture"
     root = DataRoot(out / "data")
-    if root.config_files("scenes", name):  # a shipped scene's settings are another place's
+    if (SHIPPED_DATA / "scenes" / f"{name}.toml").exists():  # its settings are another place's
         name += "-capture"
     progress.console.print(f"judging {folder}; all that is made lies below {out}")
     link_captures(name, folder, root.root)

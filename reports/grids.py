@@ -187,7 +187,7 @@ def _upright(grid: Grid) -> str:
 def _transposed(grid: Grid, block: Block) -> str:
     """A block with its rows side by side, named by their labels."""
     heads = [", ".join(row.cells[: grid.labels]) for row in block.rows]
-    out = [f"<table><thead><tr><th>{_text(block.title)}</th>"]
+    out = [f"<table><caption>{_text(block.title)}</caption><thead><tr><td></td>"]
     out += [f'<th scope="col">{_heading(head)}</th>' for head in heads]
     out.append("</tr></thead><tbody>")
     previous = ""

@@ -67,7 +67,7 @@ def test_nothing_is_fetched_and_nothing_overflows(
     context.on("request", lambda r: asked.append(r.url) if not r.url.startswith(("file:", "data:")) else None)
     page = opened(context, request.getfixturevalue(which))
     assert page.evaluate("document.documentElement.scrollWidth") == width
-    right = "[...document.querySelectorAll('td, th, svg, img, dd')].map(e => e.getBoundingClientRect().right)"
+    right = "[...document.querySelectorAll('td, th, svg, img, dd, caption')].map(e => e.getBoundingClientRect().right)"
     assert max(page.evaluate(right)) <= width
     assert not said and not asked
     context.close()
