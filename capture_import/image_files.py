@@ -1,20 +1,12 @@
-"""Image files of a recording by their names, whatever the case of their suffix; and data sets with one file of poses
-over folders of images, each of which is a recording."""
+"""Image files by their names, whatever the case of their suffix."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
-from groundwalk.capture_import.capture import Intrinsics
-from groundwalk.capture_import.media.images import BadImage, image_size
-from groundwalk.capture_import.parsing import BadRow, parse_json, read_text
-from groundwalk.store.choices import SessionSplit
-from groundwalk.store.simulated import EXPORT_NOTE
 from groundwalk.store.text import natural_order
 
 # HEIC isn't read: such an image is a reject by its content.
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif")
-# How far below a data set's folder of images a recording's may lie.
-_MAX_DEPTH = 3
 
 
 def is_image(path: Path) -> bool:
@@ -39,76 +31,3 @@ def by_stem(images: Iterable[Path]) -> dict[str, Path]:
         return path.suffix.islower(), -SUFFIXES.index(path.suffix.lower())
 
     return {path.stem: path for path in sorted(images, key=rank)}
-
-
-def size_of(image: Path) -> tuple[int, int]:
-    """(width, height) of an image file by its header; BadRow where it can't be read."""
-    if not image.is_file():
-        raise BadRow("image is missing, or no ordinary file")
-    try:
-        with image.open("rb") as file:
-            return image_size(file.read(1 << 16))
-    except (OSError, BadImage) as error:
-        raise BadRow(f"image can't be read: {error}") from None
-
-
-def guessed_intrinsics(width: int, height: int) -> Intrinsics:
-    """Intrinsics of an image of this size whose log states none: of the focal length that COLMAP assumes, too."""
-    f = 1.2 * max(width, height)
-    return Intrinsics(f, f, width / 2, height / 2, width, height)
-
-
-def data_set_of(path: Path, images_of: Callable[[Path], Path | None]) -> Path | None:
-    """The data set's folder whose recording `path` is; None where it's none.
-
-    `images_of` gives the folder of a data set's images, None for a folder that is no data set. Where images lie in
-    folders below it, each of these is a recording; else the data set as a whole is one.
-    """
-    if not path.is_dir():
-        return None
-    if (images := images_of(path)) is not None:
-        return None if _nested(path, images) else path
-    if not _has_images(path):
-        return None
-    for parent in path.parents[1 : 2 + _MAX_DEPTH]:
-        images = images_of(parent)
-        if images is not None and path.is_relative_to(images):
-            return parent if _nested(parent, images) else None
-    return None
-
-
-def rows_of(data_set: Path, recording: Path, names: list[tuple[str, Path]]) -> list[tuple[str, Path]]:
-    """The (source, image) rows of a data set that lie in a recording's folder, in natural order of the images'."""
-    rows = [row for row in names if recording == data_set or row[1].parent == recording]
-    return sorted(rows, key=lambda row: natural_order(row[1].as_posix()))
-
-
-def notes_on_missing_folders(names: list[tuple[str, Path]]) -> list[str]:
-    """A note about rows of a data set whose image folders are missing."""
-    lost = [source for source, image in names if not image.parent.is_dir()]
-    return [f"{len(lost)} rows name images in missing folders, such as {lost[0]}"] if lost else []
-
-
-def stated_splits(images: Iterable[Path], test: set[Path]) -> dict[Path, SessionSplit]:
-    """What each image is for, where the data set names its `test` images."""
-    return {image: SessionSplit.TEST if image in test else SessionSplit.TRAIN for image in images} if test else {}
-
-
-def is_metric_export(data_set: Path) -> bool:
-    """Whether it's an export of groundwalk, whose world is metric with +y up; other files of these kinds state no
-    unit."""
-    try:
-        note = parse_json(read_text(data_set / EXPORT_NOTE))
-    except BadRow:
-        return False
-    return str(note.get("map", "")).startswith("metres, +y up")
-
-
-def _nested(data_set: Path, images: Path) -> bool:
-    return (
-        images != data_set and images.is_dir() and not _has_images(images) and any(p.is_dir() for p in images.iterdir())
-    )
-
-
-def _has_images(folder: Path) -> bool:
-    return any(is_image(p) for p in folder.iterdir())

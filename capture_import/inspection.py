@@ -10,14 +10,19 @@ import numpy as np
 
 from groundwalk.capture_import.capture import Recording, Session
 from groundwalk.capture_import.checks.clock import check_clock
-from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
+from groundwalk.capture_import.checks.convention import (
+    MIN_EXPLAINED,
+    ConventionCheck,
+    check_convention,
+    with_focal_length,
+)
 from groundwalk.capture_import.checks.gravity import check_gravity
 from groundwalk.capture_import.checks.plausibility import PlausibilityFault, plausibility_faults
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.capture_import.origin import describe_origin, far_origin
 from groundwalk.capture_import.selection import select, select_enough
-from groundwalk.capture_import.sessions import duration, path_length, sound_sessions, with_focal_length
+from groundwalk.capture_import.sessions import duration, path_length, sound_sessions
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.store.progress import track
 from groundwalk.store.text import grouped_reasons, printable

@@ -3,17 +3,14 @@
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from groundwalk.capture_import.capture import Image, ImageCheck, ImageFile, RawFrame, Recording, Reject, Session
-from groundwalk.capture_import.checks.convention import focal_factor
 from groundwalk.capture_import.checks.jumps import find_jumps
 from groundwalk.capture_import.checks.rows import check_rows, content_fault, size_fault
 from groundwalk.capture_import.media.images import exif_orientation
-from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.store.choices import PoseSource, SessionSplit
 
 
@@ -53,27 +50,6 @@ def sound_sessions(
             )
         )
     return sessions
-
-
-def with_focal_length(sessions: list[Session], reader: ImageReader) -> tuple[list[Session], str]:
-    """A recording's sessions with the focal length by which its poses explain its images, where it states none; and a
-    line on that, empty where it states one."""
-    if sessions[0].recording.has_intrinsics:
-        return sessions, ""
-    factor = focal_factor(max(sessions, key=lambda session: len(session.images)), reader)
-    if factor is None:
-        return sessions, "warning: the focal length isn't stated, and too few images tell it: it is guessed"
-
-    def scaled(image: Image) -> Image:
-        camera = replace(image.camera, fx=factor * image.camera.fx, fy=factor * image.camera.fy)
-        return replace(image, frame=replace(image.frame, intrinsics=camera))
-
-    sessions = [replace(session, images=[scaled(image) for image in session.images]) for session in sessions]
-    focal = [image.camera.fx for session in sessions for image in session.images]
-    return (
-        sessions,
-        f"the focal length isn't stated: {np.median(focal):.0f} px by the poses and the images, to some 2 %",
-    )
 
 
 def path_length(session: Session, reference_is_metric: bool) -> float:

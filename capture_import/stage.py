@@ -12,7 +12,7 @@ import pandas as pd
 
 from groundwalk.capture_import.capture import ImageCheck, RawFrame, Session
 from groundwalk.capture_import.checks.clock import MAX_OFFSET_S, check_clock
-from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, check_convention
+from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, check_convention, with_focal_length
 from groundwalk.capture_import.checks.gravity import STATE_GRAVITY, check_gravity, with_gravity
 from groundwalk.capture_import.checks.near_copies import MAX_FRACTION, find_near_copies
 from groundwalk.capture_import.checks.plausibility import MAX_SPEED_M_S, plausibility_faults
@@ -26,7 +26,7 @@ from groundwalk.capture_import.media.upright import first_row, quarters_to_uprig
 from groundwalk.capture_import.origin import describe_origin, far_origin, moved
 from groundwalk.capture_import.recording import blueprint, log_session
 from groundwalk.capture_import.selection import Selection, select_enough
-from groundwalk.capture_import.sessions import sound_sessions, with_focal_length
+from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.splits import LEAK_S, SplitResult, nearest_split, refuse_lists, split_frames
 from groundwalk.capture_import.tables import (

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from groundwalk.capture_import.capture import Image, Session
+from groundwalk.capture_import.capture import Image, Recording, Session
 from groundwalk.capture_import.media.images import WORKING_LONG_SIDE, Gray
 from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.geometry.lens import undistort
@@ -73,8 +73,11 @@ def check_gravity(sessions: Sequence[Session], images: ImageReader) -> GravityCh
 
 def with_gravity(sessions: Sequence[Session], check: GravityCheck) -> list[Session]:
     """The sessions of a recording with what was found of its gravity."""
-    up = {"is_gravity_aligned": check.is_aligned, "up_source": check.source}
-    return [replace(session, recording=replace(session.recording, **up)) for session in sessions]
+
+    def of(recording: Recording) -> Recording:
+        return replace(recording, is_gravity_aligned=check.is_aligned, up_source=check.source)
+
+    return [replace(session, recording=of(session.recording)) for session in sessions]
 
 
 def starts_along_axes(sessions: Sequence[Session]) -> bool:

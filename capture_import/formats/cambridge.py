@@ -17,8 +17,9 @@ import re
 from pathlib import Path
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import.data_sets import size_of
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import is_image, size_of
+from groundwalk.capture_import.image_files import is_image
 from groundwalk.capture_import.parsing import (
     BadRow,
     inside,
@@ -58,7 +59,7 @@ def read(path: Path, limits: Limits) -> Recording:
     focal = _focal_lengths(path.parent / "reconstruction.nvm", path.name, limits)
     cameras = _intrinsics(path.parent / "frames.csv", path.name, limits)
 
-    def read_row(_: int, source: str, row: tuple[SessionSplit, str]) -> RawFrame:
+    def read_row(place: int, source: str, row: tuple[SessionSplit, str]) -> RawFrame:
         split, line = row
         name, _, numbers = line.strip().partition(" ")
         x, y, z, qw, qx, qy, qz = split_numbers(numbers, 7)

@@ -29,15 +29,15 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
-from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import (
+from groundwalk.capture_import.data_sets import (
     data_set_of,
-    in_order,
     is_metric_export,
     notes_on_missing_folders,
     rows_of,
     stated_splits,
 )
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import in_order
 from groundwalk.capture_import.parsing import (
     BadRow,
     fisheye_intrinsics,

@@ -25,17 +25,16 @@ from typing import Any
 import numpy as np
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording, Reject
-from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import (
-    SUFFIXES,
+from groundwalk.capture_import.data_sets import (
     data_set_of,
-    is_image,
     is_metric_export,
     notes_on_missing_folders,
     rows_of,
     size_of,
     stated_splits,
 )
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import SUFFIXES, is_image
 from groundwalk.capture_import.parsing import (
     BadRow,
     first_bytes,

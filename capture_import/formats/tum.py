@@ -14,8 +14,8 @@ Documented at https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats. Wh
 from pathlib import Path
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import.data_sets import guessed_intrinsics, size_of
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import guessed_intrinsics, size_of
 from groundwalk.capture_import.joining import join_by_time
 from groundwalk.capture_import.parsing import (
     BadRow,
