@@ -112,7 +112,8 @@ def write_scene(data: Path, name: str, train: int, test: int, seed: int) -> Path
     frames = frames.assign(cx=WIDTH / 2, cy=HEIGHT / 2, distortion=cells([[]] * len(keys)), first_row="top")
     frames = frames.assign(stated_readout_s=np.nan, tracking="normal")
     frames = frames.assign(gravity_x=0.0, gravity_y=1.0, gravity_z=0.0, sharpness=1.0, exposure_s=0.01)
-    frames = frames.assign(blurred_faces=None, blurred_plates=None, support=False, depth=None, depth_confidence=None)
+    frames = frames.assign(blurred_faces=None, blurred_plates=None, support=False)
+    frames = frames.assign(depth=None, depth_confidence=None, depth_sha256=None)
     truth_T = map_T_cam.copy()
     truth_T[-1] = np.nan  # a frame that SfM didn't register
     truth = pd.concat([keys, pose_frame("map_cam", truth_T)], axis=1).assign(
