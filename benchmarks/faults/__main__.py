@@ -34,7 +34,7 @@ def single_cases(base: Sandbox, captures_count: int = 500, machine_count: int = 
         *captures.archive_cases(),
         *captures.cases(captures_count),
         *machine.cases(machine_count),
-        *rooms.cases(),
+        *rooms.cases(base),
     ]
 
 

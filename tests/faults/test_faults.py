@@ -27,6 +27,9 @@ KINDS = (
     "error",
     "setting",
     "closed",
+    "mount point",
+    "path in a table",
+    "text",
 )
 
 
@@ -45,7 +48,7 @@ def drawn(base: Sandbox, kind: str) -> list[Case]:
         *names.cases(),
         *captures.archive_cases(),
         *captures.cases(50),
-        *rooms.cases(),
+        *rooms.cases(base),
     ]
     of_kind = [case for case in cases if case.kind.startswith(kind) and not case.name.endswith(LARGE)]
     if kind in ("error", "closed"):  # others fail for want of what a base that is only imported doesn't have
