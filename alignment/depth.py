@@ -18,6 +18,7 @@ from groundwalk.alignment.components import PlacedComponent
 from groundwalk.geometry.depth_images import ratio_statistics, sample_depth
 from groundwalk.geometry.poses import Array, inverse, transform
 from groundwalk.store import UserError
+from groundwalk.store.files import sha256_of
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of
 
@@ -35,8 +36,16 @@ def has_depth(frames: pd.DataFrame) -> bool:
     return bool(frames["depth"].map(_is_path).any())
 
 
-def read_depth(path: Path, confidence: Path | None) -> tuple[Array, np.ndarray]:
-    """A depth image in metres (H, W), 0 where there is none, and its confidence 0 to 2 (H, W), -1 where unknown."""
+def read_depth(path: Path, confidence: Path | None, sha256: str) -> tuple[Array, np.ndarray]:
+    """A depth image in metres (H, W), 0 where there is none, and its confidence 0 to 2 (H, W), -1 where unknown.
+    UserError where it isn't the file that import saw, of which `sha256` is the hash."""
+    if not path.is_file() or sha256_of(path) != sha256:
+        raise UserError(
+            "a depth image isn't as import saw it",
+            where=path,
+            found="another sha256 than in import.frames" if path.is_file() else "no such file",
+            do="put it back, or import the scene again",
+        )
     millimetres = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if millimetres is None:
         raise UserError("a depth image can't be read", where=path, do="import the scene again")
@@ -77,7 +86,7 @@ def sample_frames(
             xy, xyz = (np.array(column) for column in zip(*seen, strict=True))
             frame = frames.iloc[row]
             levels = image_path(frame["depth_confidence"]) if _is_path(frame["depth_confidence"]) else None
-            depth, confidence = read_depth(image_path(frame["depth"]), levels)
+            depth, confidence = read_depth(image_path(frame["depth"]), levels, frame["depth_sha256"])
             sensor_m, nearest = sample_depth(depth, xy, (int(frame["width"]), int(frame["height"])))
             map_m = each.map_S_sfm.scale * transform(inverse(sfm_T_cam[row]), xyz)[:, 2]
             columns = {"frame": row, "map_m": map_m, "sensor_m": sensor_m, "confidence": confidence[tuple(nearest.T)]}

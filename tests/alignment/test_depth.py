@@ -16,6 +16,8 @@ from groundwalk.alignment.depth import agreement_table, has_depth, read_depth, s
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
+from groundwalk.store import UserError
+from groundwalk.store.files import sha256_of
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import pose_frame, write_table
 from tests.known import cells
@@ -77,6 +79,7 @@ def scene(tmp_path: Path) -> Placed:
     model.write_binary(tmp_path / "model")
     table = pd.DataFrame(frames).assign(fx=500.0, fy=500.0, cx=320.0, cy=240.0, distortion=cells([[]] * COUNT))
     table["depth"] = [f"depth{i}.png" for i in range(COUNT)]
+    table["depth_sha256"] = [sha256_of(tmp_path / name) for name in table["depth"]]
     table["depth_confidence"] = [f"conf{i}.png" for i in range(COUNT)]
     component = Component(
         index=0,
@@ -150,5 +153,11 @@ def test_too_little_depth_judges_nothing(scene: Placed, tmp_path: Path) -> None:
 def test_both_ways_of_writing_confidence_mean_the_same(tmp_path: Path, levels: tuple[int, int, int]) -> None:
     cv2.imwrite(str(tmp_path / "d.png"), np.full((1, 3), 1250, np.uint16))
     cv2.imwrite(str(tmp_path / "c.png"), np.array([levels], np.uint8))
-    metres, confidence = read_depth(tmp_path / "d.png", tmp_path / "c.png")
+    metres, confidence = read_depth(tmp_path / "d.png", tmp_path / "c.png", sha256_of(tmp_path / "d.png"))
     assert confidence.tolist() == [[0, 1, 2]] and (metres == 1.25).all()
+
+
+def test_depth_that_import_has_not_seen_is_refused(scene: Placed, tmp_path: Path) -> None:
+    (tmp_path / "depth3.png").write_bytes((tmp_path / "depth4.png").read_bytes())
+    with pytest.raises(UserError, match=r"isn't as import saw it(.|\n)*depth3.png"):
+        samples_of(scene, tmp_path)
