@@ -53,6 +53,7 @@ COMMANDS = {
     "Whole scenes": [
         Command("judge", "Say which frames of a capture can be trusted: a page.", "commands", "judge"),
         Command("run", "Run all stages of a scene in order, as far as needed.", "commands", "run"),
+        Command("campaign", "Run many scenes, on this machine or a cluster.", "campaign"),
         Command("scenes", "List scenes, profiles and finished stages.", "commands", "scenes"),
         Command(
             "link-captures",

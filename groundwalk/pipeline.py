@@ -70,9 +70,9 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
     command that fails, which has said why. UserError where a check fails, and where a signal ended a command.
     """
     for step in commands:
-        _check(step, Step("simulate", step.scene) in commands, profile, data)
+        check(step, Step("simulate", step.scene) in commands, profile, data)
     for step, following in zip(commands, [*commands[1:], None], strict=True):
-        if _is_up_to_date(step, profile, data):
+        if is_step_up_to_date(step, profile, data):
             console.print(f"{step.command} · {step.scene} · {profile}: up to date")
             continue
         report = Step(_REPORT, step.scene)
@@ -86,7 +86,7 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
             sys.exit(status)
 
 
-def _check(step: Step, is_simulated: bool, profile: str, data: DataRoot) -> None:
+def check(step: Step, is_simulated: bool, profile: str, data: DataRoot) -> None:
     """UserError where a command lacks captures or files, or has a wrong setting: better now than hours later."""
     if step.command == "simulate":
         resolve_settings(SimulateSettings, step.command, data, profile, step.scene)
@@ -98,7 +98,8 @@ def _check(step: Step, is_simulated: bool, profile: str, data: DataRoot) -> None
         raise no_captures(step.scene, captures, profile)
 
 
-def _is_up_to_date(step: Step, profile: str, data: DataRoot) -> bool:
+def is_step_up_to_date(step: Step, profile: str, data: DataRoot) -> bool:
+    """Whether a command would do nothing; not so where it would fail."""
     try:
         if step.command == "simulate":
             return captures_are_up_to_date(step.scene, profile, data)

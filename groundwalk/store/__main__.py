@@ -43,7 +43,12 @@ def link_captures(
     data: DataOption = Path("data"),
 ) -> None:
     """Make data/captures/<scene> a link to a folder of captures, which stays as it is."""
-    link, folder = DataRoot(data).captures(scene), folder.expanduser()
+    link_folder(DataRoot(data), scene, folder)
+
+
+def link_folder(data: DataRoot, scene: str, folder: Path) -> None:
+    """As `link-captures`. UserError where there is no such folder, and where the scene has captures already."""
+    link, folder = data.captures(scene), folder.expanduser()
     if not folder.is_dir():
         raise UserError("the captures folder isn't there", where=folder, expected="a folder of phone captures")
     if link.resolve() == folder.resolve():

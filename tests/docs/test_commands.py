@@ -67,7 +67,8 @@ def test_each_command_names_what_there_is(page: Page) -> None:
             while rest and rest[0] in getattr(loaded, "commands", {}):
                 loaded = loaded.commands[rest.pop(0)]
             known = {name for parameter in loaded.params for name in parameter.opts}
-            options = {word.partition("=")[0] for word in arguments if word.startswith("--")}
+            own = arguments[: arguments.index("--")] if "--" in arguments else arguments  # and another program's
+            options = {word.partition("=")[0] for word in own if word.startswith("--")}
             assert options <= known | OPTIONS_OF_ALL, f"{page.name}: {words}: no {options - known}"
         elif program.startswith("python") and arguments[:1] == ["-m"]:
             assert importlib.util.find_spec(arguments[1]), f"{page.name}: no module {arguments[1]}"

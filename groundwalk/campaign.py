@@ -1,0 +1,321 @@
+"""Many scenes, on this machine or a cluster: a Snakemake workflow of their stages, and what became of each.
+
+The workflow is written from what stages declare that they need (`groundwalk.store.definition`), so that a campaign and
+`groundwalk run` go by the same steps. Snakemake starts the jobs, again with more memory and time where one fails for
+want of it; the stages themselves know whether they have anything to do, and go on from their checkpoints.
+"""
+
+import html
+import importlib.util
+import json
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import pandas as pd
+import typer
+from rich.table import Table
+
+from groundwalk.cli import stage_of
+from groundwalk.pipeline import Step, check, is_step_up_to_date, steps
+from groundwalk.store import progress
+from groundwalk.store.__main__ import link_folder
+from groundwalk.store.cli import DataOption, ProfileOption, new_app
+from groundwalk.store.cores import usable_cores
+from groundwalk.store.errors import UserError
+from groundwalk.store.files import read_json, write_json, written_aside
+from groundwalk.store.locks import locked
+from groundwalk.store.manifests import MANIFEST
+from groundwalk.store.settings import STAGES, DataRoot, checked_name
+
+app = new_app("Many scenes.")
+PLAN, WORKFLOW, TABLE, PAGE = "plan.json", "Snakefile", "campaign.parquet", "campaign.html"
+_COLUMNS = ("scene", "captures", "profile", "until")
+_ATTEMPTS = 3  # each with so many times the memory and time of the first
+# Where no finished run says what a stage takes; of one that does, so many times as much.
+_DEFAULT_MIB, _DEFAULT_MINUTES, _MARGIN = 4096, 60, 1.5
+_SEVERAL_CORES = {"sfm", "localise", "train"}
+_MAX_CORES = 8
+
+
+class State(StrEnum):
+    """What became of a stage of a scene; those that need a person come first."""
+
+    REFUSED = "refused"
+    FAILED = "failed"
+    RUNNING = "running"
+    WAITING = "waiting"
+    DONE = "done"
+
+
+@dataclass(frozen=True)
+class Job:
+    """A stage of a scene, or `simulate`, and the ids of the jobs that must be done before."""
+
+    scene: str
+    profile: str
+    command: str
+    needs: list[str] = field(default_factory=list)
+
+    @property
+    def id(self) -> str:
+        """profile/scene/command: its flag below done/, and its log below logs/."""
+        return f"{self.profile}/{self.scene}/{self.command}"
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def campaign(
+    context: typer.Context,
+    table: Annotated[Path, typer.Argument(help="CSV: scene, and, where wanted, captures, profile, until.")],
+    profile: ProfileOption = "demo",
+    cores: Annotated[int | None, typer.Option(help="Cores to use of this machine; all unless named.", min=1)] = None,
+    status: Annotated[bool, typer.Option("--status", help="Only say what became of each scene so far.")] = False,
+    data: DataOption = Path("data"),
+) -> None:
+    """Run many scenes as a Snakemake workflow; what follows `--` is Snakemake's, as `-- --executor slurm --jobs 50`.
+
+    A scene that fails stops no other one. The same command again does what is left. The workflow, logs, a table of all
+    stages (campaign.parquet) and a page sorted by what needs a person are in data/campaigns/<name of the CSV>.
+    """
+    root = DataRoot(data)
+    folder = root.root / "campaigns" / checked_name("scene", table.stem)
+    if not status:
+        with locked(folder):
+            jobs, problems = plan(table, profile, root)
+            write_workflow(folder, jobs, problems, root)
+            failed = _snakemake(folder, cores or usable_cores(), context.args) if jobs else 0
+    outcome = write_report(folder, root)
+    _show(outcome, folder)
+    if not status and (failed or (outcome["state"] != State.DONE).any()):
+        raise typer.Exit(1)
+
+
+def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str, str]]:
+    """The jobs of all scenes of a CSV, and the messages of scenes that can't run. UserError for a table that isn't
+    one."""
+    jobs: dict[str, Job] = {}
+    problems: dict[str, str] = {}
+    for number, row in enumerate(_rows(table), start=2):
+        scene = row["scene"]
+        of_scene = f"{row.get('profile', profile)}/{scene}"
+        if of_scene in problems or any(job.startswith(f"{of_scene}/") for job in jobs):
+            problems[f"{of_scene} (line {number})"] = f"the scene stands twice in {table.name}"
+            continue
+        try:
+            if captures := row.get("captures"):
+                link_folder(data, scene, table.parent / Path(captures).expanduser())
+            jobs |= {job.id: job for job in _jobs_of(data, row.get("profile", profile), scene, row.get("until"))}
+        except UserError as error:
+            problems[of_scene] = str(error)
+    return list(jobs.values()), problems
+
+
+def _rows(table: Path) -> Iterator[dict[str, str]]:
+    if not table.is_file():
+        raise UserError("there is no such table of scenes", where=table, expected=f"a CSV of {', '.join(_COLUMNS)}")
+    try:
+        content = pd.read_csv(table, dtype=str, encoding="utf-8-sig", skipinitialspace=True).fillna("")
+    except (ValueError, UnicodeError) as error:
+        raise UserError("a table of scenes can't be read", where=table, found=error, expected="CSV, UTF-8") from None
+    if "scene" not in content or not set(content) <= set(_COLUMNS):
+        found = ", ".join(map(str, content))
+        raise UserError("a table of scenes has other columns", where=table, found=found, expected=", ".join(_COLUMNS))
+    for row in content.to_dict("records"):
+        yield {str(name): value.strip() for name, value in row.items() if value.strip() or name == "scene"}
+
+
+def _jobs_of(data: DataRoot, profile: str, scene: str, until: str | None) -> list[Job]:
+    made = steps(data, profile, scene, until or STAGES[-1])
+    for step in made:
+        check(step, Step("simulate", step.scene) in made, profile, data)
+    jobs = {step: Job(step.scene, profile, step.command) for step in made}
+    for step, job in jobs.items():
+        job.needs.extend(jobs[other].id for other in _before(step, made, data))
+    return list(jobs.values())
+
+
+def _before(step: Step, made: list[Step], data: DataRoot) -> list[Step]:
+    """The steps whose results a step reads: of its scene and, in a group, of the group's scenes."""
+    if step.command == "simulate":
+        return []
+    stage = stage_of(step.command)
+    read = {*stage.needs, *stage.wants, *(["simulate"] if stage.reads_captures else [])}
+    scenes = {step.scene, *data.leaves(data.scene(step.scene)[0])}
+    return [other for other in made if other.command in read and other.scene in scenes]
+
+
+def write_workflow(folder: Path, jobs: list[Job], problems: dict[str, str], data: DataRoot) -> None:
+    """Write the plan and the workflow. Flags of what isn't up to date any more go, and so do notes of refusals: their
+    reason may be gone."""
+    for job in jobs:
+        flag = folder / "done" / job.id
+        if flag.exists() and not is_step_up_to_date(Step(job.command, job.scene), job.profile, data):
+            flag.unlink()
+        _refusal(folder, job).unlink(missing_ok=True)
+    commands = list(dict.fromkeys(job.command for job in jobs))
+    content = {
+        "needs": {job.id: job.needs for job in jobs},
+        "resources": {command: _resources(command, data) for command in commands},
+        "problems": problems,
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / PLAN, content)
+    rules = [_RULE.format(command=c, retries=_ATTEMPTS - 1, run=_shell(c, data)) for c in commands]
+    with written_aside(folder / WORKFLOW) as partial:
+        partial.write_text(_HEAD.format(plan=PLAN) + "".join(rules), encoding="utf-8")
+
+
+_HEAD = """# Written by `groundwalk campaign`, not to be edited. It runs by itself, too, in this folder:
+#     snakemake --cores 2 --keep-going
+import json
+from pathlib import Path
+
+PLAN = json.loads(Path(workflow.basedir, "{plan}").read_text())
+needs = lambda command: lambda w: [f"done/{{n}}" for n in PLAN["needs"][f"{{w.profile}}/{{w.scene}}/{{command}}"]]
+take = lambda command, what: lambda w, attempt: attempt * PLAN["resources"][command][what]
+
+localrules: all
+wildcard_constraints: profile="[^/]+", scene="[^/]+"
+
+rule all:
+    input: [f"done/{{job}}" for job in PLAN["needs"]]
+"""
+_RULE = """
+rule stage_{command}:
+    input: needs("{command}")
+    output: touch("done/{{profile}}/{{scene}}/{command}")
+    params: log="logs/{{profile}}/{{scene}}/{command}.log"
+    threads: PLAN["resources"]["{command}"]["threads"]
+    resources: mem_mb=take("{command}", "mem_mb"), runtime=take("{command}", "runtime")
+    retries: {retries}
+    shell: {run}
+"""
+
+
+def _shell(command: str, data: DataRoot) -> str:
+    """What a job does, as text of the workflow. What a stage refuses it refuses each time: it isn't tried again, and
+    the report says so. The log is no `log` of Snakemake's, which removes these before another attempt."""
+    groundwalk = f"OMP_NUM_THREADS={{threads}} {shlex.quote(sys.executable)} -P -m groundwalk"
+    options = f"--scene {{wildcards.scene:q}} --profile {{wildcards.profile:q}} --data {shlex.quote(str(data.root))}"
+    run = f"{groundwalk} {command} {options} > $log 2>&1"
+    report = f" {groundwalk} report --force {options} > $log.report 2>&1 || true;"
+    after = "" if command in ("simulate", "import", "report") else report
+    return repr(
+        f"log={{params.log:q}}; [ ! -e $log.refused ] || exit 2; mkdir -p $(dirname $log); status=0; "
+        f"{run} || status=$?; if [ $status = 2 ]; then touch $log.refused;{after} fi; exit $status"
+    )
+
+
+def _resources(command: str, data: DataRoot) -> dict[str, int]:
+    """Cores, MiB and minutes of a command: by the finished runs of the data folder."""
+    made = [read_json(path) for path in (data.root / "runs").glob(f"*/*/{command}/{MANIFEST}")]
+    mib = max((float(one.get("peak_memory_mib") or 0) for one in made), default=0) * _MARGIN
+    minutes = max((float(one.get("total_seconds") or 0) for one in made), default=0) * _MARGIN / 60
+    threads = min(usable_cores(), _MAX_CORES) if command in _SEVERAL_CORES else 1
+    measured = {"mem_mb": round(mib) + 512, "runtime": round(minutes) + 5}
+    return {"threads": threads, **(measured if made else {"mem_mb": _DEFAULT_MIB, "runtime": _DEFAULT_MINUTES})}
+
+
+def _snakemake(folder: Path, cores: int, more: list[str]) -> int:
+    if importlib.util.find_spec("snakemake") is None:
+        raise UserError(
+            "Snakemake, which runs campaigns, isn't installed", do="install groundwalk with its extra: [campaign]"
+        )
+    command = [sys.executable, "-P", "-m", "snakemake", "--snakefile", folder / WORKFLOW, "--directory", folder]
+    # The campaign's own lock is held, and what a job left undone the stage continues.
+    options = ["--cores", cores, "--keep-going", "--nolock", "--rerun-incomplete", "--rerun-triggers", "mtime"]
+    return subprocess.run([*map(str, command + options), "--scheduler", "greedy", "--quiet", "rules", *more]).returncode
+
+
+def _refusal(folder: Path, job: Job) -> Path:
+    return folder / "logs" / f"{job.id}.log.refused"
+
+
+def write_report(folder: Path, data: DataRoot) -> pd.DataFrame:
+    """The campaign's table, a row a scene and stage, written as Parquet and as a page: those that need a person first.
+    UserError where the campaign wasn't planned yet."""
+    if not (folder / PLAN).is_file():
+        raise UserError("there is no such campaign yet", where=folder, do="run it without --status")
+    planned = read_json(folder / PLAN)
+    rows = [_row(folder, Job(*_scene_of(id), needs), data) for id, needs in planned["needs"].items()]
+    for of_scene, message in planned["problems"].items():
+        profile, _, scene = of_scene.partition("/")
+        rows.append({"scene": scene, "profile": profile, "stage": "", "state": State.REFUSED, "message": message})
+    columns = ["scene", "profile", "stage", "state", "seconds", "peak_memory_mib", "figures", "message"]
+    order = {state: number for number, state in enumerate(State)}
+    table = pd.DataFrame(rows, columns=columns).sort_values("state", key=lambda s: s.map(order), kind="stable")
+    with written_aside(folder / TABLE) as partial:
+        table.assign(state=table["state"].astype(str)).to_parquet(partial, index=False)
+    with written_aside(folder / PAGE) as partial:
+        partial.write_text(_page(table, folder, data), encoding="utf-8")
+    return table
+
+
+def _scene_of(id: str) -> tuple[str, str, str]:
+    profile, scene, command = id.split("/")
+    return scene, profile, command
+
+
+def _row(folder: Path, job: Job, data: DataRoot) -> dict[str, Any]:
+    final = data.captures(job.scene) if job.command == "simulate" else data.run(job.profile, job.scene, job.command)
+    log = folder / "logs" / f"{job.id}.log"
+    text = log.read_text(encoding="utf-8", errors="replace") if log.is_file() else ""
+    row: dict[str, Any] = {"scene": job.scene, "profile": job.profile, "stage": job.command}
+    if (folder / "done" / job.id).exists():
+        made = read_json(final / MANIFEST) if (final / MANIFEST).is_file() else {}
+        figures = {"seconds": made.get("total_seconds"), "peak_memory_mib": made.get("peak_memory_mib")}
+        return {**row, "state": State.DONE, **figures, "figures": json.dumps(made.get("figures", {}))}
+    if _is_running(final):
+        return {**row, "state": State.RUNNING, "message": text.strip().rpartition("\n")[2]}
+    if not text:
+        return {**row, "state": State.WAITING}
+    _, error, message = text.rpartition("error: ")
+    state = State.REFUSED if _refusal(folder, job).exists() else State.FAILED
+    return {**row, "state": state, "message": message.strip() if error else text.strip().rpartition("\n")[2]}
+
+
+def _is_running(final: Path) -> bool:
+    try:
+        with locked(final):
+            return False
+    except UserError:
+        return True
+
+
+def _page(table: pd.DataFrame, folder: Path, data: DataRoot) -> str:
+    counts = table["state"].value_counts()
+    rows = []
+    for row in table.itertuples():
+        report = data.run(str(row.profile), str(row.scene), "report") / "page.html" if row.stage else folder
+        scene = html.escape(str(row.scene))
+        link = f'<a href="{html.escape(report.as_uri())}">{scene}</a>' if report.is_file() else scene
+        seconds, mib = (f"{value:,.0f}" if pd.notna(value) else "" for value in (row.seconds, row.peak_memory_mib))
+        words = "" if pd.isna(row.message) else html.escape(str(row.message))
+        cells = (link, html.escape(str(row.profile)), row.stage, row.state, seconds, mib, f"<pre>{words}</pre>")
+        rows.append(f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>")
+    summary = ", ".join(f"{counts.get(state, 0)} {state}" for state in State)
+    head = "".join(f"<th>{name}</th>" for name in ("scene", "profile", "stage", "state", "s", "MiB", "message"))
+    return _PAGE.format(name=html.escape(folder.name), summary=summary, head=head, rows="\n".join(rows))
+
+
+_PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>Campaign {name}</title><style>body{{font:15px system-ui;margin:2em}}td,th{{padding:.2em .7em;text-align:left;
+vertical-align:top}}pre{{margin:0;white-space:pre-wrap}}:root{{color-scheme:light dark}}</style>
+<h1>Campaign {name}</h1><p>Stages: {summary}. What needs a person stands first.</p>
+<table><thead><tr>{head}</tr></thead><tbody>
+{rows}
+</tbody></table></html>
+"""
+
+
+def _show(outcome: pd.DataFrame, folder: Path) -> None:
+    table = Table("state", "stages", "scenes", box=None, pad_edge=False)
+    for state, of_state in outcome.groupby("state", sort=False):
+        table.add_row(str(state), str(len(of_state)), ", ".join(dict.fromkeys(of_state["scene"].head(8))))
+    progress.stdout.print(table)
+    progress.stdout.print(str(folder / PAGE))

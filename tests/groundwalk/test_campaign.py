@@ -1,0 +1,92 @@
+"""Campaigns: a plan of many scenes from a CSV, a workflow that Snakemake reads, and what became of each stage."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from groundwalk.campaign import PLAN, WORKFLOW, Job, State, plan, write_report, write_workflow
+from groundwalk.store import DataRoot, UserError
+from tests.capture_import.capture_writers import WRITERS, make_walk
+
+ONE = "tiny/one"
+
+
+def run_campaign(table: Path, data: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "groundwalk", "campaign", table, "--profile", "tiny", "--data", data]
+    return subprocess.run([*map(str, command)], capture_output=True, text=True)
+
+
+def campaign_of(folder: Path, *lines: str) -> Path:
+    """A CSV of scenes, beside a folder with one capture: `walks/one`."""
+    WRITERS["frames_jsonl"].write(folder / "walks" / "one" / "walk", make_walk(20))
+    table = folder / "scenes.csv"
+    table.write_text("scene,captures,until\n" + "".join(f"{line}\n" for line in lines), encoding="utf-8")
+    return table
+
+
+def test_a_plan_has_the_stages_that_each_scene_needs_and_names_what_cannot_run(tmp_path: Path) -> None:
+    lines = ("one,walks/one,align", "gone,walks/two,", "one,walks/one,align", "../x,,", "Church,,import")
+    jobs, problems = plan(campaign_of(tmp_path, *lines), "tiny", DataRoot(tmp_path / "data"))
+    needs = {job.id: job.needs for job in jobs}
+    assert needs[f"{ONE}/sfm"] == [f"{ONE}/import"]
+    assert needs[f"{ONE}/align"] == [f"{ONE}/import", f"{ONE}/sfm"]
+    assert needs[f"{ONE}/report"] == [f"{ONE}/import", f"{ONE}/sfm", f"{ONE}/align"]
+    assert needs["tiny/Church/import"] == ["tiny/Church/simulate"] and f"{ONE}/simulate" not in needs
+    assert set(problems) == {"tiny/gone", "tiny/one (line 4)", "tiny/../x"}
+    assert "isn't there" in problems["tiny/gone"] and "twice" in problems["tiny/one (line 4)"]
+
+
+@pytest.mark.parametrize("content", ["place\nChurch\n", "", "scene,note\nChurch,x\n", b"\xff\xfe"])
+def test_what_is_no_table_of_scenes_is_refused(tmp_path: Path, content: str | bytes) -> None:
+    table = tmp_path / "scenes.csv"
+    table.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(UserError, match="table of scenes"):
+        plan(table, "tiny", DataRoot(tmp_path / "data"))
+
+
+def test_a_refused_stage_is_reported_and_stops_no_other_scene(tmp_path: Path) -> None:
+    pytest.importorskip("snakemake", reason="campaigns are run by Snakemake: pip install -e '.[campaign]'")
+    (tmp_path / "walks" / "empty" / "walk").mkdir(parents=True)
+    (tmp_path / "walks" / "empty" / "walk" / "frames.jsonl").write_text("{}\n")
+    table = campaign_of(tmp_path, "bad,walks/empty,import", "one,walks/one,import")
+    ended = run_campaign(table, tmp_path / "data")
+    assert ended.returncode == 1, ended.stdout + ended.stderr
+    folder = tmp_path / "data" / "campaigns" / "scenes"
+    outcome = pd.read_parquet(folder / "campaign.parquet").set_index(["scene", "stage"])
+    assert outcome["state"].to_dict() == {
+        ("bad", "import"): "refused",
+        ("bad", "report"): "waiting",
+        ("one", "import"): "done",
+        ("one", "report"): "done",
+    }
+    assert outcome["seconds"].max() > 0 and outcome["message"].dropna().str.contains("header").all()
+    page = (folder / "campaign.html").read_text()
+    assert page.index("refused</td>") < page.index("done</td>") and "1 refused" in page
+    # Nothing is left but what was refused, which is tried again: the capture may be another one now.
+    again = run_campaign(table, tmp_path / "data")
+    assert "stage_import" in again.stderr and "2" not in again.stderr.split("stage_import")[1].split("\n")[0]
+
+
+def test_flags_of_what_is_outdated_go_and_resources_are_those_of_finished_runs(tmp_path: Path) -> None:
+    data, folder = DataRoot(tmp_path / "data"), tmp_path / "campaign"
+    jobs = [Job("one", "tiny", "import"), Job("one", "tiny", "sfm", [f"{ONE}/import"])]
+    flag = folder / "done" / f"{ONE}/import"
+    flag.parent.mkdir(parents=True)
+    flag.touch()
+    made = data.run("tiny", "other", "sfm")
+    made.mkdir(parents=True)
+    (made / "manifest.json").write_text(json.dumps({"peak_memory_mib": 3000, "total_seconds": 600}))
+    write_workflow(folder, jobs, {}, data)
+    assert not flag.exists()
+    resources = json.loads((folder / PLAN).read_text())["resources"]
+    assert resources["sfm"]["mem_mb"] == 5012 and resources["sfm"]["runtime"] == 20
+    assert resources["import"]["mem_mb"] == 4096
+    assert (write_report(folder, data)["state"] == State.WAITING).all()
+    pytest.importorskip("snakemake", reason="campaigns are run by Snakemake: pip install -e '.[campaign]'")
+    command = [sys.executable, "-m", "snakemake", "-s", folder / WORKFLOW, "-d", folder, "-n", "--cores", "1"]
+    shown = subprocess.run([*map(str, command)], capture_output=True, text=True)
+    assert shown.returncode == 0 and "stage_sfm" in shown.stdout + shown.stderr
