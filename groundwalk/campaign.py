@@ -248,7 +248,10 @@ def write_report(folder: Path, data: DataRoot) -> pd.DataFrame:
         rows.append({"scene": scene, "profile": profile, "stage": "", "state": State.REFUSED, "message": message})
     columns = ["scene", "profile", "stage", "state", "seconds", "peak_memory_mib", "figures", "message"]
     order = {state: number for number, state in enumerate(State)}
-    table = pd.DataFrame(rows, columns=columns).sort_values("state", key=lambda s: s.map(order), kind="stable")
+    table = pd.DataFrame(rows, columns=columns).astype({"seconds": float, "peak_memory_mib": float})
+    table = table.assign(message=table["message"].fillna("")).sort_values(
+        "state", key=lambda s: s.map(order), kind="stable"
+    )
     with written_aside(folder / TABLE) as partial:
         table.assign(state=table["state"].astype(str)).to_parquet(partial, index=False)
     with written_aside(folder / PAGE) as partial:
@@ -290,13 +293,12 @@ def _is_running(final: Path) -> bool:
 def _page(table: pd.DataFrame, folder: Path, data: DataRoot) -> str:
     counts = table["state"].value_counts()
     rows = []
-    for row in table.itertuples():
-        report = data.run(str(row.profile), str(row.scene), "report") / "page.html" if row.stage else folder
-        scene = html.escape(str(row.scene))
+    for row in table.to_dict("records"):
+        scene, profile, message = (html.escape(str(row[name])) for name in ("scene", "profile", "message"))
+        report = data.run(row["profile"], row["scene"], "report") / "page.html" if row["stage"] else folder
         link = f'<a href="{html.escape(report.as_uri())}">{scene}</a>' if report.is_file() else scene
-        seconds, mib = (f"{value:,.0f}" if pd.notna(value) else "" for value in (row.seconds, row.peak_memory_mib))
-        words = "" if pd.isna(row.message) else html.escape(str(row.message))
-        cells = (link, html.escape(str(row.profile)), row.stage, row.state, seconds, mib, f"<pre>{words}</pre>")
+        took = (f"{row[name]:,.0f}" if row[name] == row[name] else "" for name in ("seconds", "peak_memory_mib"))
+        cells = (link, profile, row["stage"], row["state"], *took, f"<pre>{message}</pre>")
         rows.append(f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>")
     summary = ", ".join(f"{counts.get(state, 0)} {state}" for state in State)
     head = "".join(f"<th>{name}</th>" for name in ("scene", "profile", "stage", "state", "s", "MiB", "message"))
