@@ -17,6 +17,7 @@ from benchmarks.stock import largest_model, matcher_name
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, pose_residuals
 from groundwalk.geometry.poses import Array, rotation_angle
+from groundwalk.reports.verdict import state_of
 from groundwalk.scoring.errors import relative_error
 from groundwalk.sfm.database import image_id
 from groundwalk.sfm.model import Model, load_models
@@ -27,7 +28,7 @@ from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of, read_table
 
 OURS, STOCK, RATIO, VIO_WAY = "ours", "stock", "ours / stock", "VIO"
-PASSED, REFUSED, CRASHED = "passed", "refused", "crashed"
+DONE, REFUSED, CRASHED = "ground truth", "refused", "crashed"
 STAGES = {"import": "groundwalk.capture_import", "sfm": "groundwalk.sfm", "align": "groundwalk.alignment"}
 COMMON, ALL = "common frames against VIO", "all frames against VIO"
 POSITION, APART = f"{COMMON}, position RMS", "ours and stock apart, position RMS"
@@ -58,15 +59,15 @@ class Figure:
 
 @dataclass
 class Run:
-    """A capture after import, sfm, align and stock COLMAP: where their outputs are, what each cost, and the verdict:
-    passed, or which stage ended with what."""
+    """A capture after import, sfm, align and stock COLMAP: where their outputs are, what each cost, and the outcome:
+    ground truth, or which stage ended with what."""
 
     scene: str
     root: DataRoot
     stock_folder: Path
     profile: str = "demo"
     costs: dict[str, Cost] = field(default_factory=dict)
-    verdict: str = PASSED
+    outcome: str = DONE
 
     def folder(self, stage: str) -> Path:
         """The stage's artefact; of a stage that refused its input, what it left."""
@@ -84,6 +85,13 @@ class Run:
     def has_table(self, stage: str, name: str) -> bool:
         """Whether the stage wrote it: align also writes its checks where it refuses the model."""
         return (self.folder(stage) / f"{name}.parquet").is_file()
+
+    @property
+    def verdict(self) -> str:
+        """As the report's page has it; of a capture without ground truth its outcome."""
+        if not self.has("align"):
+            return self.outcome
+        return state_of(self.table("align", "checks"), self.table("align", "ground_truth")["quality"])[0].value
 
     def manifest(self, stage: str) -> dict[str, Any]:
         """A finished stage's manifest."""
@@ -111,7 +119,7 @@ def run_stages(scene: str, capture: Path, folder: Path, import_settings: Sequenc
         log = run.root.root / f"{stage}.log"
         status, run.costs[stage] = run_stage(run, stage, log, seed, import_settings if stage == "import" else ())
         if status:
-            run.verdict = _verdict(run, stage, status, log.read_text(encoding="utf-8", errors="replace"))
+            run.outcome = _outcome(run, stage, status, log.read_text(encoding="utf-8", errors="replace"))
             break
     return run
 
@@ -124,7 +132,7 @@ def run_stage(run: Run, stage: str, log: Path, seed: int = 0, settings: Sequence
     return run_timed(command, run.root.run(run.profile, run.scene, stage), log)
 
 
-def _verdict(run: Run, stage: str, status: int, printed: str) -> str:
+def _outcome(run: Run, stage: str, status: int, printed: str) -> str:
     """By a stage that failed: the cause that says most of align's failed checks, or else the error that it printed."""
     outcome = f"{REFUSED if status == _REFUSAL else CRASHED} by {stage}"
     if stage == "align" and run.has_table("align", "checks"):
@@ -138,12 +146,11 @@ def _verdict(run: Run, stage: str, status: int, printed: str) -> str:
 
 
 def figures_of(run: Run) -> list[Figure]:
-    """All figures of a capture; verdict and costs alone where import already refused it."""
-    accepted = Figure("accepted", float(run.verdict == PASSED))
+    """All figures of a capture; costs alone where import already refused it."""
     if not run.has("import"):
-        return [accepted, *_cost_figures(run)]
+        return _cost_figures(run)
     parts = (_ground_truth_figures, _camera_figures, _agreement_figures, _cost_figures)
-    return [accepted, *(figure for part in parts for figure in part(run))]
+    return [figure for part in parts for figure in part(run)]
 
 
 def _ground_truth_figures(run: Run) -> list[Figure]:

@@ -1,4 +1,4 @@
-"""Whether a capture keeps its verdict when it is resampled: copies with fewer images, other rates, orders and seeds."""
+"""Whether a capture keeps its outcome when it is resampled: copies with fewer images, other rates, orders and seeds."""
 
 import os
 import shutil
@@ -60,24 +60,24 @@ def stability_of(name: str, capture: Path, settings: tuple[str, ...], folder: Pa
             _copy(capture.resolve(), source, resampling.keep, 0 if resampling.shuffled else None)
         run = run_stages(name, source, into, (*settings, *resampling.settings), resampling.seed)
         rows.append({"case": name, "resampling": resampling.name, **_outcome(run), "revision": git_revision()})
-        print(f"  {name}, {resampling.name}: {run.verdict}", flush=True)
+        print(f"  {name}, {resampling.name}: {run.outcome}", flush=True)
     table = pd.DataFrame(rows)
-    return table.assign(agrees=table["verdict"].str.split().str[0] == table["verdict"].iloc[0].split()[0])
+    return table.assign(agrees=table["outcome"].str.split().str[0] == table["outcome"].iloc[0].split()[0])
 
 
 def write_stability(folder: Path, resampled: pd.DataFrame) -> None:
     """Write real-stability.md into the folder."""
-    rows = [["case", "resampling", "images", "verdict", "frames with ground truth", "A, B, C", "agrees with the whole"]]
+    rows = [["case", "resampling", "images", "outcome", "frames with ground truth", "A, B, C", "agrees with the whole"]]
     rows[0].append("revision")
     for row in resampled.to_dict("records"):
         same = "" if row["resampling"] == _WHOLE else "yes" if row["agrees"] else "**no**"
         truth, classes = ("" if pd.isna(row[name]) else row[name] for name in ("with_ground_truth", "classes"))
         truth = truth if truth == "" else f"{truth:.0f}"
         rows.append(
-            [row["case"], row["resampling"], str(row["images"]), row["verdict"], truth, classes, same, row["revision"]]
+            [row["case"], row["resampling"], str(row["images"]), row["outcome"], truth, classes, same, row["revision"]]
         )
     others = resampled.loc[resampled["resampling"] != _WHOLE, "agrees"]
-    share = f"{others.sum()} of {len(others)} resamplings have the whole's verdict; 95 % to reach."
+    share = f"{others.sum()} of {len(others)} resamplings have the whole's outcome; 95 % to reach."
     folder.mkdir(parents=True, exist_ok=True)
     text = f"{_HEADER}\n{share}\n\n{markdown_table(rows)}\n"
     (folder / "real-stability.md").write_text(text, encoding="utf-8")
@@ -87,7 +87,7 @@ def _outcome(run: Run) -> dict[str, object]:
     align = run.manifest("align")["figures"] if run.has("align") else {}
     return {
         "images": len(run.table("import", "frames")) if run.has("import") else 0,
-        "verdict": run.verdict,
+        "outcome": run.outcome,
         "with_ground_truth": align.get("with_ground_truth"),
         "classes": ", ".join(str(align[f"quality_{quality}"]) for quality in "ABC") if align else None,
     }
