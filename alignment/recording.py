@@ -12,13 +12,12 @@ from groundwalk.alignment.sessions import SessionFit
 from groundwalk.geometry.poses import Array, quaternion_from_matrix, transform
 from groundwalk.store.choices import QualityClass
 from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
-from groundwalk.store.recording import UP_AXIS, log_camera, log_path
+from groundwalk.store.recording import TIMELINE, UP_AXIS, log_camera, log_path, set_time
 
 _QUALITY_COLOURS = {QualityClass.A: GROUND_TRUTH, QualityClass.B: (110, 200, 170), QualityClass.C: NEUTRAL}
 # Sessions in the residuals' two plots; grey, green and orange mean something else.
 _SESSION_COLOURS = [(0, 114, 178), (204, 121, 167), (86, 180, 233), (240, 228, 66), (170, 110, 40), (150, 110, 220)]
 # Sessions have different clocks; from each one's start their curves lie over each other.
-_TIMELINE = "session_time"
 # Ellipsoids are drawn so many times too large: a centimetre on a walk of 50 m can't be seen.
 _ELLIPSOID_TIMES = 10
 # 95 % of three normal axes lie within so many standard deviations.
@@ -38,7 +37,7 @@ def blueprint() -> rrb.Blueprint:
             ),
             column_shares=[3, 2],
         ),
-        rrb.TimePanel(timeline=_TIMELINE, state="collapsed"),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
         collapse_panels=True,
     )
 
@@ -134,7 +133,7 @@ def _log_segment(
         rec.log(f"residuals/{residual}/{name}", rr.SeriesLines(colors=colour, names=name), static=True)
     start_ns = frames.loc[frames["session_id"] == s.session_id, "t_ns"].min()
     for number, index in enumerate(fit.compared):
-        rec.set_time(_TIMELINE, duration=np.timedelta64(int(s.t_ns[index] - start_ns), "ns"))
+        set_time(rec, s.t_ns[index] - start_ns)
         frame = frames.iloc[s.rows[index]]
         log_camera(rec, f"map/ground_truth/{name}/camera", map_T_cam[index], frame, GROUND_TRUTH, 2 * camera_m)
         log_camera(rec, f"map/vio/{name}/camera", vio_in_map[index], frame, VIO, 2 * camera_m)

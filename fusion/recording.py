@@ -14,6 +14,7 @@ from groundwalk.fusion.methods.localiser import Status
 from groundwalk.fusion.walk import known
 from groundwalk.geometry.poses import Array, quaternion_from_matrix
 from groundwalk.store import colours
+from groundwalk.store.colours import localiser_colours
 from groundwalk.store.recording import TIMELINE, UP_AXIS, log_path
 
 FRAME_TIMELINE = "frame"  # sessions one after the other, however far apart their clocks
@@ -79,8 +80,8 @@ def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> r
     )
 
 
-_FUSED_COLOURS = "ground truth green, regressor blue, aligned odometry orange, fused as on the right"
-_ALONE_COLOURS = "ground truth green, predictions blue; without odometry nothing is fused"
+_FUSED_COLOURS = "ground truth green, aligned odometry orange, the others as on the right"
+_ALONE_COLOURS = "ground truth green; without odometry nothing is fused"
 _OF_METHOD = ("fused", "vio_aligned", "residual", "covariance")
 # A marker's last ten places stay in view.
 _TAIL = rrb.VisibleTimeRanges(
@@ -126,7 +127,7 @@ def record(stream: rr.RecordingStream, fused: list[Fused], gates: Mapping[str, M
             frames[walk.scene] += len(walk)
         times = [
             rr.TimeColumn(FRAME_TIMELINE, sequence=starts[key] + np.arange(len(walk))),
-            rr.TimeColumn(TIMELINE, duration=walk.t_ns.astype("timedelta64[ns]")),
+            rr.TimeColumn(TIMELINE, duration=(walk.t_ns - walk.t_ns[0]).astype("timedelta64[ns]")),
         ]
         name = _path(walk.session_id, walk.split)
         scene, at = _path(walk.scene), _path(walk.scene, f.run.model)
@@ -134,21 +135,23 @@ def record(stream: rr.RecordingStream, fused: list[Fused], gates: Mapping[str, M
             stream.log(scene, UP_AXIS, static=True)
             _log_walk(stream, f"{scene}/ground_truth", name, times, walk.map_T_cam, colours.GROUND_TRUTH)
         if not METHODS[method].fuses:
-            _log_walk(stream, f"{at}/{method}", name, times, f.live_map_T_cam, _colour(method), 0.5)
+            _log_walk(stream, f"{at}/{method}", name, times, f.live_map_T_cam, _colour(f), 0.5)
         else:
-            _log_walk(stream, f"{at}/fused/{method}", name, times, f.live_map_T_cam, _colour(method))
+            _log_walk(stream, f"{at}/fused/{method}", name, times, f.live_map_T_cam, _colour(f))
             _log_walk(stream, f"{at}/vio_aligned/{method}", name, times, _vio_aligned(f), colours.VIO, 0.5)
             _log_residuals(stream, f"{at}/residual/{method}", f, times)
             _log_covariance(stream, f"{at}/covariance/{method}", f, times)
             _log_decisions(stream, at, f, times, gates[method])
-        colour = _colour(method)
+        colour = _colour(f)
         position_m, rotation_deg = pose_errors(f.live_map_T_cam, walk.map_T_cam)
         _log_series(stream, f"{at}/position_error_m/{method}", times, position_m, colour, method)
         _log_series(stream, f"{at}/rotation_error_deg/{method}", times, rotation_deg, colour, method)
 
 
-def _colour(method: str) -> tuple[int, int, int]:
-    return METHODS[method].colour
+def _colour(f: Fused) -> tuple[int, int, int]:
+    """A method's colour; what a localiser says alone has the localiser's."""
+    method = METHODS[f.run.method]
+    return method.colour if method.fuses else localiser_colours([f.run.model])[f.run.model]
 
 
 def _signals(fused: list[Fused]) -> dict[str, list[str]]:
@@ -191,7 +194,7 @@ def _log_walk(
 
 def _log_residuals(stream: rr.RecordingStream, path: str, f: Fused, times: list[rr.TimeColumn]) -> None:
     """A line from the frame's answer to its prediction."""
-    stream.log(path, rr.LineStrips3D.from_fields(colors=colours.APR, radii=rr.Radius.ui_points(1.0)), static=True)
+    stream.log(path, rr.LineStrips3D.from_fields(colors=colours.NEUTRAL, radii=rr.Radius.ui_points(1.0)), static=True)
     there = known(f.live_map_T_cam) & known(f.walk.map_T_cam_apr)
     ends = np.stack([f.live_map_T_cam[there, :3, 3], f.walk.map_T_cam_apr[there, :3, 3]], axis=1)
     columns = rr.LineStrips3D.columns(strips=list(ends)).partition(there.astype(int))
@@ -209,7 +212,7 @@ def _log_covariance(stream: rr.RecordingStream, path: str, f: Fused, times: list
     stream.log(
         path,
         rr.Ellipsoids3D.from_fields(
-            colors=(*_colour(f.run.method), 90), fill_mode="majorwireframe", line_radii=rr.Radius.ui_points(0.7)
+            colors=(*_colour(f), 90), fill_mode="majorwireframe", line_radii=rr.Radius.ui_points(0.7)
         ),
         static=True,
     )
@@ -236,7 +239,7 @@ def _log_decisions(
     for signal in _signals([f])[method]:
         path = f"{at}/signals/{method}/{signal}"
         values = np.array([e.signals.get(signal, np.nan) for e in f.estimates])
-        _log_series(stream, f"{path}/value", times, values, _colour(method), signal)
+        _log_series(stream, f"{path}/value", times, values, _colour(f), signal)
         if signal in gates:
             _log_series(stream, f"{path}/gate", times, np.full(len(values), gates[signal]), colours.REJECTED, "gate")
 

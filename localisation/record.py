@@ -64,11 +64,12 @@ def record(
     for model, xyz in points.items():
         stream.log(f"/{model}/map", rr.Points3D(xyz, colors=NEUTRAL, radii=rr.Radius.ui_points(1)), static=True)
         stream.log(f"/{model}/inliers", rr.SeriesLines(colors=LOCALISERS[model].colour, names="inliers"), static=True)
+    starts = queries.groupby("session_id")["t_ns"].min()
     true = poses_of(truth.set_index("frame_id").reindex(queries["frame_id"]), "map_cam")
     for row in evenly(len(queries), _MOST_QUERIES).tolist() if answers else []:
         frame = queries.iloc[row]
         stream.set_time(_FRAMES, sequence=row)
-        set_time(stream, int(frame["t_ns"]))
+        set_time(stream, int(frame["t_ns"] - starts[frame["session_id"]]))
         image = read_image(image_path(frame["image"]))
         factor = min(1.0, _IMAGE_SIDE / max(image.shape[:2]))
         small = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)

@@ -4,7 +4,6 @@ import io
 import re
 import textwrap
 from contextlib import AbstractContextManager
-from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from matplotlib import style as matplotlib_style
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
@@ -30,9 +30,6 @@ VIO = _hex(colours.VIO)
 NEUTRAL = _hex(colours.NEUTRAL)
 # Told apart in grey print and by colour-blind readers; for quantities, not for kinds of poses.
 ERROR_MAP = "cividis_r"
-
-# One a localiser, on the page and in its figures; ground truth's green and VIO's orange are theirs alone.
-MODEL_COLOURS = ("#0072b2", "#cc79a7", "#56b4e9", "#8c4a6d", "#7570b3", "#a65628", "#7a7a7a")
 
 WIDTH = 3.6  # inches: a column of a paper, and of the page
 # Text and axes; no data has this colour, so that in SVG it can become the page's own text colour.
@@ -67,6 +64,7 @@ _STYLE: Any = {
     "lines.linewidth": 1.4,
     "legend.frameon": False,
     "svg.fonttype": "none",
+    "pdf.fonttype": 42,
 }
 
 
@@ -85,7 +83,7 @@ def new_figure(panels: int, height: float, **options: Any) -> tuple[Figure, list
 def model_colours(scene: SceneInputs) -> dict[str, str]:
     """The colour of each localiser of a scene."""
     models = dict.fromkeys([*scene.models, *scene.localisers["model"], *scene.cards["model"]])
-    return dict(zip(map(str, models), cycle(MODEL_COLOURS), strict=False))
+    return {name: _hex(colour) for name, colour in colours.localiser_colours(map(str, models)).items()}
 
 
 def mark(figure: Figure, text: str) -> None:
@@ -102,8 +100,8 @@ def log_axis(axis: Axis) -> None:
 
 
 def save(figure: Figure, folder: Path, name: str) -> str:
-    """Write <name>.png (on white) and <name>.svg; the SVG, whose text takes the colour of the page around it, is
-    returned too. The same figure gives the same bytes."""
+    """Write <name>.png (on white), <name>.pdf with its fonts, and <name>.svg; the SVG, whose text takes the colour of
+    the page around it, is returned too. The same figure gives the same bytes."""
     with applied(), mpl.rc_context({"svg.hashsalt": name}):
         # By the canvases, as savefig draws everything twice. The layout alone is worked out twice: the first changes
         # which ticks an axis has, and so how wide they are.
@@ -117,6 +115,7 @@ def save(figure: Figure, folder: Path, name: str) -> str:
         figure.set_facecolor(background)
         # The layout stands now, and takes as long as drawing.
         figure.set_layout_engine("none")
+        FigureCanvasPdf(figure).print_pdf(folder / f"{name}.pdf", metadata={"CreationDate": None})
         buffer = io.StringIO()
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
     svg = buffer.getvalue()

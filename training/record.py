@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import colours
-from groundwalk.store.recording import TIMELINE, UP_AXIS, log_camera, log_path
+from groundwalk.store.recording import UP_AXIS, log_camera, log_path, set_time
 from groundwalk.store.registry import Colour
 from groundwalk.store.tables import poses_of
 from groundwalk.training.data import ImageCache
@@ -79,6 +79,7 @@ def record(
         str(model): poses_of(frames[keys].merge(mine, on=keys, how="left"), "map_cam")
         for model, mine in predictions.groupby("model", sort=False)
     }
+    starts = frames.groupby(["scene", "session_id"])["t_ns"].transform("min").to_numpy()
     every = -(-len(frames) // _MAX_IMAGES)
     for scene in frames["scene"].unique():
         rows = np.flatnonzero(frames["scene"] == scene)
@@ -90,7 +91,7 @@ def record(
         for number, row in enumerate(rows):
             frame = frames.iloc[row]
             stream.set_time(FRAMES, sequence=number)
-            stream.set_time(TIMELINE, duration=np.timedelta64(int(frame["t_ns"]), "ns"))
+            set_time(stream, int(frame["t_ns"]) - starts[row])
             if np.isfinite(map_T_cam[row]).all():
                 log_camera(stream, f"/{scene}/ground_truth/now", map_T_cam[row], frame, colours.GROUND_TRUTH, 1.0)
             for model, estimate in estimates.items():

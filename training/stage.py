@@ -5,7 +5,6 @@ import platform
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import cycle
 from typing import Any, Literal
 
 import numpy as np
@@ -393,7 +392,6 @@ def write_results(r: StageRun[TrainSettings], frames: pd.DataFrame, cache: Image
     r.write("models", pd.DataFrame([result.card for result in results]))
     names = [result.card["model"] for result in results]
     trained = [result.card["model"] for result in results if len(result.history)]
-    more = cycle(colours.MORE_COLOURS)
-    shades = {name: REGRESSORS[name].colour if name in REGRESSORS else next(more) for name in names}
+    shades = colours.localiser_colours(names) | {name: REGRESSORS[name].colour for name in names if name in REGRESSORS}
     with r.step("recording"), r.recording(blueprint(r.leaves, names, trained)) as stream:
         record(stream, frames, predictions, history, cache, r.settings.crop, shades)

@@ -17,7 +17,7 @@ _ROWS = (
     ("frames_pct", "frames with a pose (%)"),
 )
 _SUBSETS = {"rp+opt": ("-", "reliable and optimised"), "all": ("--", "all frames, in time")}
-_COLOURS = (colours.APR, colours.FUSED, colours.GROUND_TRUTH, colours.VIO, colours.REJECTED)
+_COLOURS = tuple(colours.LOCALISERS.values())
 
 
 def write_sweep_figure(sweep: pd.DataFrame, defaults: dict[str, float], path: Path) -> None:

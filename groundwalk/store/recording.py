@@ -16,7 +16,8 @@ from groundwalk.geometry.poses import Array
 from groundwalk.store.files import written_aside
 
 UP_AXIS = rr.ViewCoordinates.RIGHT_HAND_Y_UP
-TIMELINE = "capture_time"
+TIMELINE = "time"
+"""The clock of every recording: since the first frame of the walk."""
 
 _CHUNK = 1 << 20
 
@@ -65,7 +66,7 @@ def _copy(source: BinaryIO, target: BinaryIO, failure: list[BaseException]) -> N
 
 
 def set_time(stream: rr.RecordingStream, t_ns: int) -> None:
-    """Move the recording's clock to a capture time in nanoseconds."""
+    """Move the recording's clock to a time in nanoseconds since the walk's first frame."""
     stream.set_time(TIMELINE, duration=np.timedelta64(int(t_ns), "ns"))
 
 
