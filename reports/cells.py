@@ -166,7 +166,7 @@ def published_cells(tables: PrintedTables, scenes: list[SceneInputs]) -> pd.Data
             value = float(s[f"{quantity}_{unit}"])
             keys = {k: str(s[k]) for k in ("model", "method", "over", "statistic")} | {"quantity": quantity}
             column = column_name(s["model"], s["method"], s["over"], s["statistic"], quantity)
-            add(TABLE_II, s, s["subset"], column, value, f"{value:g}", unit, **keys)
+            add(TABLE_II, s, s["subset"], column, value, str(s[f"{quantity}_{unit}_text"]), unit, **keys)
     for _, s in tables.levels.iterrows():
         keys = {k: str(s[k]) for k in ("model", "method", "over")}
         for quantity, statistic in [*((level, "level") for level in LEVELS), ("share", "share")]:
@@ -176,5 +176,5 @@ def published_cells(tables: PrintedTables, scenes: list[SceneInputs]) -> pd.Data
             name = "frames" if quantity == "share" else quantity
             column = column_name(s["model"], s["method"], s["over"], statistic, name)
             more = keys | {"statistic": statistic, "quantity": name}
-            add(TABLE_III, s, s["subset"], column, value, f"{value:g}", "%", **more)
+            add(TABLE_III, s, s["subset"], column, value, str(s[f"{quantity}_text"]), "%", **more)
     return pd.DataFrame(rows)

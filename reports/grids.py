@@ -110,15 +110,15 @@ def latex_text(text: str) -> str:
 
 
 def latex(grid: Grid) -> str:
-    """The table as a LaTeX float that needs the packages booktabs and graphicx; published numbers are in italics."""
+    """The table as a LaTeX float that needs the package booktabs; published numbers are in italics."""
     count = len(grid.columns)
     lines = [
-        r"% needs \usepackage{booktabs} and \usepackage{graphicx}",
+        r"% needs \usepackage{booktabs}",
         r"\begin{table*}",
         r"\centering",
         rf"\caption{{{latex_text(grid.caption)}}}",
         rf"\label{{tab:{grid.key}}}",
-        r"\resizebox{\linewidth}{!}{%",
+        r"\scriptsize\setlength{\tabcolsep}{2pt}",
         rf"\begin{{tabular}}{{{'l' * grid.labels}{'r' * (count - grid.labels)}}}",
         r"\toprule",
     ]
@@ -139,7 +139,7 @@ def latex(grid: Grid) -> str:
             if row.source == PUBLISHED:
                 cells = [rf"\emph{{{cell}}}" for cell in cells]
             lines.append(" & ".join(cells) + r" \\")
-    lines += [r"\bottomrule", r"\end{tabular}}", r"\par\smallskip\raggedright\footnotesize"]
+    lines += [r"\bottomrule", r"\end{tabular}", r"\par\smallskip\raggedright\footnotesize"]
     lines += [latex_text(note) + r"\par" for note in grid.notes]
     lines.append(r"\end{table*}")
     return "\n".join(lines) + "\n"
@@ -187,7 +187,7 @@ def _upright(grid: Grid) -> str:
 def _transposed(grid: Grid, block: Block) -> str:
     """A block with its rows side by side, named by their labels."""
     heads = [", ".join(row.cells[: grid.labels]) for row in block.rows]
-    out = [f"<table><caption>{_text(block.title)}</caption><thead><tr><td></td>"]
+    out = [f'<table class="turned"><caption>{_text(block.title)}</caption><thead><tr><td></td>']
     out += [f'<th scope="col">{_heading(head)}</th>' for head in heads]
     out.append("</tr></thead><tbody>")
     previous = ""

@@ -18,11 +18,13 @@ _LEVEL_COLUMNS = {
     "low_pct_5m_10deg": "low",
     "frames_pct": "share",
 }
+_LEVEL_TEXTS = {f"{printed}_text": f"{name}_text" for printed, name in _LEVEL_COLUMNS.items()}
 
 
 @dataclass(frozen=True)
 class PrintedTables:
-    """Tables I to III as printed; numbers are percent, metres and degrees.
+    """Tables I to III as printed; numbers are percent, metres and degrees, those with a fraction as text, too
+    (`<column>_text`): 87.0 isn't 87.
 
     dataset: environment, scene, train_images, test_images, extent_m, {hloc,pn,mst}_storage_mb, ..._runtime_ms.
     errors: environment, scene (or "average"), subset, model, method, over, statistic, translation_m, rotation_deg.
@@ -48,7 +50,7 @@ def load_published(files: Mapping[str, Path] = PUBLISHED) -> PrintedTables:
     )
     levels = _read(files, "table3_accuracy_levels.csv", ["environment", "scene", "subset", "method", *_LEVEL_COLUMNS])
     return PrintedTables(
-        "published", dataset, _split_method(errors), _split_method(levels.rename(columns=_LEVEL_COLUMNS))
+        "published", dataset, _split_method(errors), _split_method(levels.rename(columns=_LEVEL_COLUMNS | _LEVEL_TEXTS))
     )
 
 
@@ -66,13 +68,13 @@ def _read(files: Mapping[str, Path], name: str, columns: list[str]) -> pd.DataFr
     if path is None:
         raise UserError("a file of published numbers isn't there", where=f"shipped/published/{name}")
     try:
-        frame = pd.read_csv(path)
+        frame, texts = pd.read_csv(path), pd.read_csv(path, dtype=str)
     except (OSError, ValueError) as error:
         raise UserError("a file of published numbers can't be read", where=path, found=error) from None
     missing = [c for c in columns if c not in frame.columns]
     if missing:
         raise UserError("a file of published numbers lacks columns", where=path, found=f"no {', '.join(missing)}")
-    return frame
+    return frame.assign(**{f"{c}_text": texts[c] for c in frame.select_dtypes("float")})
 
 
 def _split_method(frame: pd.DataFrame) -> pd.DataFrame:

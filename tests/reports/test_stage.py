@@ -17,7 +17,7 @@ from groundwalk.reports import style
 from groundwalk.reports.definition import STAGE
 from groundwalk.reports.grids import Block, Grid, Row, latex, latex_text, markdown
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.reports.published import load_published
+from groundwalk.reports.published import PUBLISHED, load_published
 from groundwalk.reports.run_checks import AGREES
 from groundwalk.scoring.scores import score
 from groundwalk.store import UserError
@@ -252,9 +252,9 @@ def test_errors_by_walk_or_by_appearance(appearances: tuple[str, str], make_run:
     assert f"simulated, test walks {light}, tiny profile" in (folder / "tables" / "table1.md").read_text()
 
 
-def rows_of(folder: Path, table: str) -> list[list[str]]:
-    """The cells of a table of the page, row by row."""
-    page = (folder / "page.html").read_text(encoding="utf-8")
+def rows_of(folder: Path, table: str, file: str = "page.html") -> list[list[str]]:
+    """The cells of a table of a page, row by row."""
+    page = (folder / file).read_text(encoding="utf-8")
     part = page[page.index(f'id="{table}"') :]
     rows = re.findall(r"<tr.*?</tr>", part[: part.index("</table>")])
     return [cells for row in rows if (cells := re.findall(r"<td[^>]*>(.*?)</td>", row))]
@@ -319,6 +319,9 @@ def test_published_cells_are_the_files_numbers_and_never_ours(church: tuple[Data
     printed = printed[printed["scene"] == "Church"]
     values = printed[["translation_m", "rotation_deg"]].to_numpy().ravel()
     assert sorted(cells.loc[cells["table"] == "II", "value"]) == sorted(values)
+    lines = [line.split(",") for line in PUBLISHED["table3_accuracy_levels.csv"].read_text().splitlines()]
+    digits = [text for line in lines if line[1] == "Church" for text in line[4:] if text]
+    assert sorted(cells.loc[cells["table"] == "III", "text"]) == sorted(digits) and any(d.endswith("0") for d in digits)
     assert cells["source_table"].str.startswith("shipped/published/").all()
     assert not cells_of(folder, source="ours")["source_table"].str.startswith("shipped/published/").any()
 
@@ -452,7 +455,7 @@ def test_the_same_run_gives_the_same_bytes(chair: tuple[DataRoot, Path]) -> None
     outputs = {
         p.relative_to(folder): p.read_bytes()
         for p in folder.rglob("*")
-        if p.suffix in (".svg", ".png", ".html", ".parquet")
+        if p.suffix in (".svg", ".png", ".pdf", ".html", ".parquet")
     }
     execute(STAGE, "chair", "tiny", data, force=True)
     assert {p: (folder / p).read_bytes() for p in outputs} == outputs
