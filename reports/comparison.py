@@ -1,0 +1,301 @@
+"""What differs between runs of the same captures: settings and inputs, and figures, as far as that is beyond noise.
+
+Figures are paired, over the frames that both runs have. How far a difference would move with other frames is found by
+drawing pieces of walks again: neighbouring frames share their error, and so does a walk, of which there are few.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+
+from groundwalk.geometry.poses import Array
+from groundwalk.reports import style
+from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row, html_table
+from groundwalk.reports.templating import plain_page
+from groundwalk.scoring.bootstrap import CONFIDENCE, DRAWS, drawn_figures, draws
+from groundwalk.scoring.errors import sure_enough
+
+PIECE = 10
+"""Consecutive frames of a walk that are drawn together."""
+MIN_PIECES = 3
+_TRUTH, _ALONE = "ground truth", "apr"
+# What of each is compared, of drawn_figures, and what it's called.
+_FIGURES = {
+    _TRUTH: {
+        "coverage_pct": "frames with one (%)",
+        "position_median_m": "sigma, position",
+        "rotation_median_deg": "sigma, rotation (°)",
+    },
+    _ALONE: {
+        "coverage_pct": "coverage (%)",
+        "position_median_m": "median position",
+        "rotation_median_deg": "median rotation (°)",
+    },
+}
+
+
+@dataclass(frozen=True)
+class ComparedRun:
+    """A run as it takes part: its name, the manifests of its stages, and its tables; those of stages that aren't
+    finished are None. `unit` is that of the map."""
+
+    name: str
+    manifests: dict[str, dict[str, Any]]
+    unit: str
+    ground_truth: pd.DataFrame | None
+    errors: pd.DataFrame | None
+    validation: pd.DataFrame | None
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A figure of a run beside the first one's, over the frames that both have; `low` and `high` bound the difference,
+    NaN where there are too few frames to tell."""
+
+    run: str
+    subject: str
+    figure: str
+    frames: int
+    before: float
+    after: float
+    low: float
+    high: float
+    more_is_better: bool
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the difference is larger than noise."""
+        return self.low > 0 or self.high < 0
+
+    @property
+    def is_worse(self) -> bool:
+        return self.is_clear and (self.after < self.before) == self.more_is_better
+
+    @property
+    def percent(self) -> float:
+        """The change, in percent of what it was."""
+        return 100 * (self.after - self.before) / self.before if self.before else float("nan")
+
+    def is_worse_by(self, percent: float) -> bool:
+        """Whether it is clearly worse, and by more than that; an infinite error is."""
+        return self.is_worse and not abs(self.percent) <= percent
+
+
+def differences(first: ComparedRun, other: ComparedRun) -> list[Difference]:
+    """The figures of two runs, ground truth's and then each localiser's, alone and as the first run's report shows it
+    fused, as far as both have them."""
+    found = (
+        list(_paired(other.name, _TRUTH, _TRUTH, *map(_sigmas, (first, other))))
+        if _both("ground_truth", first, other)
+        else []
+    )
+    if _both("errors", first, other):
+        assert first.errors is not None and other.errors is not None
+        for model, method in _ways(first):
+            errors = [_errors(run.errors, model, method) for run in (first, other)]
+            name = f"{model}, alone" if method == _ALONE else f"{model} with {method}"
+            found += _paired(other.name, name, _ALONE, *errors)
+    return found
+
+
+def _both(table: str, *runs: ComparedRun) -> bool:
+    return all(getattr(run, table) is not None and len(getattr(run, table)) for run in runs)
+
+
+def _ways(run: ComparedRun) -> Iterator[tuple[str, str]]:
+    """Model and method: each model alone, and with the method that is ahead on frames held out of training."""
+    assert run.errors is not None
+    for model in dict.fromkeys(run.errors["model"]):
+        yield model, _ALONE
+        if run.validation is not None:
+            ahead = run.validation[(run.validation["model"] == model) & run.validation["ahead"]]["method"]
+            yield from ((model, method) for method in ahead.head(1) if method != _ALONE)
+
+
+def _sigmas(run: ComparedRun) -> pd.DataFrame:
+    truth = run.ground_truth
+    assert truth is not None
+    return truth.assign(scene="", position=truth["position_sd_m"], rotation=truth["rotation_sd_deg"])
+
+
+def _errors(errors: pd.DataFrame | None, model: str, method: str) -> pd.DataFrame:
+    """The errors in time of test frames; those of a method with several options are of the first."""
+    assert errors is not None
+    rows = errors[(errors["model"] == model) & (errors["split"] == "test")]
+    if method == _ALONE:  # which stands by each method's
+        rows, prefix = rows.drop_duplicates(["scene", "frame_id"]), "apr_"
+    else:
+        rows, prefix = rows[rows["method"] == method], "live_"
+        rows = rows[rows["options"] == rows["options"].iloc[0]] if len(rows) else rows
+    return rows.assign(position=rows[f"{prefix}position_m"], rotation=rows[f"{prefix}rotation_deg"])
+
+
+def _paired(run: str, subject: str, kind: str, before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
+    keys = ["scene", "session_id", "t_ns", "frame_id"]
+    columns = [*keys, "position", "rotation", "quality"]
+    both = before[columns].merge(after[columns], on=keys, suffixes=("_0", "_1")).sort_values(keys)
+    if both.empty:
+        return
+    walks = both.groupby(["scene", "session_id"])
+    pieces = pd.factorize(walks.ngroup() * len(both) + walks.cumcount() // PIECE)[0]
+    weights = draws(int(pieces.max()) + 1)[:, pieces]
+    values = [
+        dict(
+            drawn_figures(
+                both[f"position_{side}"].to_numpy(float),
+                both[f"rotation_{side}"].to_numpy(float),
+                sure_enough(both[f"quality_{side}"]),
+                weights,
+            )
+        )
+        for side in (0, 1)
+    ]
+    for figure, name in _FIGURES[kind].items():
+        low, high = (
+            _bounds(values[0][figure][1:], values[1][figure][1:]) if pieces.max() + 1 >= MIN_PIECES else (np.nan,) * 2
+        )
+        numbers = (float(values[0][figure][0]), float(values[1][figure][0]), low, high)
+        yield Difference(run, subject, name, len(both), *numbers, more_is_better=figure == "coverage_pct")
+
+
+def _bounds(before: Array, after: Array) -> tuple[float, float]:
+    """The middle CONFIDENCE of differences; two infinite errors are alike."""
+    alike = before == after
+    change = np.subtract(after, before, out=np.zeros(len(after)), where=~alike)
+    tail = 100 * (1 - CONFIDENCE) / 2
+    low, high = np.percentile(change, [tail, 100 - tail], method="nearest")
+    return float(low), float(high)
+
+
+def settings_that_differ(runs: list[ComparedRun]) -> Grid:
+    """Settings, versions, seeds and captures that aren't the same in all runs."""
+    facts = [dict(_facts(run)) for run in runs]
+    names = list(dict.fromkeys(name for of_run in facts for name in of_run))
+    rows = []
+    for name in names:
+        values = [of_run.get(name, EMPTY) for of_run in facts]
+        if len(set(values)) > 1:
+            rows.append(Row((*name, *values), OURS))
+    caption = "Settings, versions, seeds, captures and files that aren't the same in all runs" + (
+        "." if rows else ": none."
+    )
+    columns = tuple(("", name) for name in ("stage", "what", *(run.name for run in runs)))
+    return Grid("settings", "What was done differently", caption, columns, (Block("", tuple(rows)),), len(columns))
+
+
+def _facts(run: ComparedRun) -> Iterator[tuple[tuple[str, str], str]]:
+    for stage, manifest in run.manifests.items():
+        for name in ("version", "seed", "profile", "git_revision"):
+            yield (stage, name), str(manifest.get(name))
+        for name, hashes in manifest.get("inputs", {}).items():
+            if "/" not in name:  # what another stage made follows from that stage's
+                yield (
+                    (stage, name),
+                    str(hashes)[:80] if not isinstance(hashes, dict) else str(hashes.get("sha256", hashes))[:12],
+                )
+        yield from (((stage, name), text) for name, text in _flat(manifest.get("settings", {})))
+
+
+def _flat(settings: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    for name, value in settings.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, str(value)
+
+
+def figures_grid(found: list[Difference], unit: str) -> Grid:
+    """All figures side by side, and which differ by more than noise."""
+    rows = []
+    for d in found:
+        figure = d.figure if d.figure.endswith(")") else f"{d.figure} ({unit})"
+        bounds = EMPTY if np.isnan(d.low) else f"{d.low:+.3g} to {d.high:+.3g}"
+        verdict = (
+            "too few frames to tell"
+            if np.isnan(d.low)
+            else "worse"
+            if d.is_worse
+            else "better"
+            if d.is_clear
+            else "the same"
+        )
+        change = f"{d.percent:+.1f}" if np.isfinite(d.percent) else EMPTY
+        cells = (
+            d.run,
+            d.subject,
+            figure,
+            verdict,
+            str(d.frames),
+            *(_number(v) for v in (d.before, d.after)),
+            change,
+            bounds,
+        )
+        rows.append(Row(cells, OURS))
+    names = (
+        "run",
+        "of",
+        "figure",
+        "against the first",
+        "frames",
+        "first",
+        "this",
+        "change (%)",
+        "95 % of the difference",
+    )
+    caption = (
+        f"Paired, over the frames that both runs have; {EMPTY}: infinite, as most frames have no pose. The same: the "
+        f"difference isn't larger than noise, by drawing pieces of {PIECE} consecutive frames of a walk again, {DRAWS} "
+        "times."
+    )
+    return Grid("figures", "Figures", caption, tuple(("", name) for name in names), (Block("", tuple(rows)),), 4)
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}" if np.isfinite(value) else EMPTY
+
+
+def picture(found: list[Difference], folder: Path) -> str:
+    """The changes in percent with their intervals, as SVG; those larger than noise are dark."""
+    shown = [d for d in found if np.isfinite([d.percent, d.low, d.high]).all() and d.before]
+    with style.applied():
+        figure, (ax,) = style.new_figure(1, 0.17 * max(len(shown), 4) + 0.5)
+        ax.set_xscale("symlog", linthresh=10)
+        for y, d in enumerate(shown):
+            low, high = (100 * bound / d.before for bound in (d.low, d.high))
+            colour = style.INK if d.is_clear else style.NEUTRAL
+            ax.plot([low, high], [y, y], color=colour, lw=1.2)
+            ax.plot(d.percent, y, "o", color=colour, ms=4)
+        several = len({d.run for d in shown}) > 1
+        labels = [f"{d.run + ': ' if several else ''}{d.subject}, {d.figure.partition(' (')[0]}" for d in shown]
+        ax.axvline(0, color=style.NEUTRAL, lw=0.8)
+        ax.set(yticks=range(len(shown)), yticklabels=labels, xlabel="change (%)")
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.invert_yaxis()
+    return style.save(figure, folder, "compare")
+
+
+def comparison_page(runs: list[ComparedRun], found: list[Difference], folder: Path) -> str:
+    """The page as HTML; `folder` is for the picture's files."""
+    parts = [Markup(html_table(figures_grid(found, runs[0].unit))), Markup(html_table(settings_that_differ(runs)))]
+    if found:
+        caption = (
+            "Each figure's change with its 95 % interval; grey: not larger than noise."
+            " Of coverage and frames with ground truth more is better, of all others less."
+        )
+        svg = Markup(picture(found, folder))
+        parts.insert(
+            0, Markup('<figure class="picture wide">{}<figcaption>{}</figcaption></figure>').format(svg, caption)
+        )
+    else:
+        parts.insert(
+            0,
+            Markup('<p class="banner">{}</p>').format(
+                "These runs have no frames in common: there is nothing to compare but settings."
+            ),
+        )
+    return plain_page(" / ".join(run.name for run in runs), "comparison", parts)
