@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from groundwalk.run import Run, pose_array, rigid_transforms
     from groundwalk.runtime.bundle import open_bundle
     from groundwalk.store.errors import UserError
 
-__all__ = ["Run", "UserError", "open", "open_bundle", "pose_array", "rigid_transforms"]
+__all__ = ["Run", "UserError", "open", "open_bundle", "pose_array", "rigid_transforms", "runs"]
 
 
 def open(scene_or_folder: str | PathLike[str], *, profile: str = "demo", data: str | PathLike[str] = "data") -> "Run":
@@ -32,6 +34,27 @@ def open(scene_or_folder: str | PathLike[str], *, profile: str = "demo", data: s
     return open_run(scene_or_folder, profile, Path(data))
 
 
+def runs(data: str | PathLike[str] = "data") -> "pd.DataFrame":
+    """The runs below a data folder, one row each: scene, profile, simulated, stages, outdated, verdict, folder."""
+    import pandas as pd
+
+    from groundwalk.store.runs import runs_in
+    from groundwalk.store.settings import DataRoot
+
+    rows = [
+        (
+            *run.name,
+            any(m["simulated"] for m in run.manifests.values()),
+            run.finished,
+            run.outdated,
+            run.verdict.get("verdict"),
+            run.folder,
+        )
+        for run in runs_in(DataRoot(Path(data)))
+    ]
+    return pd.DataFrame(rows, columns=["scene", "profile", "simulated", "stages", "outdated", "verdict", "folder"])
+
+
 _MODULES = {
     "Run": "run",
     "UserError": "store.errors",
@@ -43,6 +66,14 @@ _MODULES = {
 
 def __getattr__(name: str) -> Any:
     """Each name is loaded when it's asked for, as pandas takes longer to load than most commands take to run."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("groundwalk")
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

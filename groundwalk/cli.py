@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from groundwalk.store.cli import new_app, stage_command, stage_help
+from groundwalk.store.settings import DataRoot
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,16 @@ class Command:
             return command.commands[self.subcommand] if self.subcommand else command
         app = new_app("")
         help_text = None if for_completion else stage_help(self.stage())
-        app.command(self.name, help=help_text)(stage_command(self.name, self.stage))
+        app.command(self.name, help=help_text)(stage_command(self.name, self.stage, _write_index))
         return get_command(app)
 
     def stage(self) -> Any:
         """The stage that a stage's command runs."""
         return import_module(f"groundwalk.{self.module}").STAGE
+
+
+def _write_index(data: DataRoot) -> None:
+    import_module("groundwalk.reports.runs_index").write_index(data)
 
 
 def _stage(name: str, package: str, help_text: str) -> Command:
@@ -54,6 +59,7 @@ COMMANDS = {
         Command("judge", "Say which frames of a capture can be trusted: a page.", "commands", "judge"),
         Command("run", "Run all stages of a scene in order, as far as needed.", "commands", "run"),
         Command("campaign", "Run many scenes, on this machine or a cluster.", "campaign"),
+        Command("compare", "Compare runs: settings, and figures beyond noise.", "commands", "compare"),
         Command("scenes", "List scenes, profiles and finished stages.", "commands", "scenes"),
         Command(
             "link-captures",

@@ -2,25 +2,31 @@
 
 import re
 import shutil
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
 
-from groundwalk.pipeline import Reported, run_steps, steps
+from groundwalk.pipeline import USER_ERROR, Reported, run_steps, steps
 from groundwalk.store import progress
 from groundwalk.store.__main__ import link_captures
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import read_json
+from groundwalk.store.files import STOPPED, partial_folder, read_json, written_aside
 from groundwalk.store.hints import view_command
 from groundwalk.store.inputs import capture_files
-from groundwalk.store.manifests import MANIFEST, is_manifest, outdated_stages
-from groundwalk.store.settings import SHIPPED_DATA, STAGES, DataRoot
+from groundwalk.store.runs import runs_in
+from groundwalk.store.settings import SHIPPED_DATA, STAGES, DataRoot, is_name
 from groundwalk.store.simulated import are_simulated, marker_of
 from groundwalk.store.text import printable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from groundwalk.reports.comparison import ComparedRun
 
 app = new_app("Whole scenes.")
 VERDICT = "verdict.json"
@@ -83,24 +89,34 @@ def judge(
     where it was stopped. The capture isn't changed.
 
     Exit status: **0** accepted: half of the frames or more are of class A or B, scale and vertical are known; **3**
-    undecided: there is ground truth, but less than that; **4** refused: no ground truth; **2** the capture can't be
-    read.
+    undecided: there is ground truth, but less than that; **4** refused: no ground truth; **2** unreadable: the page
+    says what is missing.
     """
     folder = folder.expanduser().resolve()
-    _refuse_without_poses(folder)
+    if not folder.is_dir():
+        raise UserError("there is no such folder", where=folder, expected="a folder of phone captures")
     out = (out or Path("judged") / folder.name).absolute()
     name = re.sub(r"[^A-Za-z0-9_-]+", "-", folder.name).strip("-_") or "capture"
     root = DataRoot(out / "data")
     if (SHIPPED_DATA / "scenes" / f"{name}.toml").exists():  # its settings are another place's
         name += "-capture"
     progress.console.print(f"judging {folder}; all that is made lies below {out}")
+    report, unread = root.run(_JUDGED_IN, name, "report"), partial_folder(root.run(_JUDGED_IN, name, "import"))
+    try:
+        _refuse_without_poses(folder)
+    except UserError as error:
+        _write_unreadable(out, folder.name, {"what": error.what, **error.details})
+        raise
     link_captures(name, folder, root.root)
-    report = root.run(_JUDGED_IN, name, "report")
     try:
         run_steps(steps(root, _JUDGED_IN, name, "align"), _JUDGED_IN, root)
     except Reported as refused:
         if read_json(report / VERDICT).get("verdict") != "refused":
             raise SystemExit(refused.code) from None
+    except SystemExit as stopped:
+        if stopped.code == USER_ERROR and (why := read_json(unread / STOPPED)):
+            _write_unreadable(out, folder.name, why)
+        raise
     for file in ("page.html", VERDICT):
         shutil.copyfile(report / file, out / file)
     verdict = read_json(out / VERDICT)
@@ -110,12 +126,87 @@ def judge(
     raise typer.Exit(_EXIT[verdict["verdict"]])
 
 
+@app.command()
+def compare(
+    runs: Annotated[list[str], typer.Argument(help="Two runs or more: scenes' names, or folders of runs.")],
+    out: Annotated[Path, typer.Option(help="The page to write.")] = Path("compare.html"),
+    fail_if_worse: Annotated[
+        str, typer.Option(help="Exit with 1 where a figure is worse by more than this, and by more than noise: 5%.")
+    ] = "",
+    profile: ProfileOption = "demo",
+    data: DataOption = Path("data"),
+) -> None:
+    """Compare runs with the first of them: what was done differently, and which figures differ by more than noise."""
+    from groundwalk.reports.comparison import comparison_page, differences
+
+    limit = _percent(fail_if_worse)
+    compared = [_compared(run, profile, data) for run in runs]
+    if len(compared) < 2:
+        raise UserError("one run can't be compared", found=runs[0], do="name two runs or more")
+    if len({run.name for run in compared}) < len(compared):
+        raise UserError("a run was named twice", found=", ".join(run.name for run in compared))
+    found = [difference for other in compared[1:] for difference in differences(compared[0], other)]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder, written_aside(out) as path:
+        path.write_text(comparison_page(compared, found, Path(folder)), encoding="utf-8")
+    for difference in found:
+        if difference.is_clear:
+            word = "worse" if difference.is_worse else "better"
+            change = f"{difference.before:.4g} → {difference.after:.4g}"
+            progress.stdout.print(f"{word}: {difference.run}: {difference.subject}: {difference.figure}: {change}")
+    progress.stdout.print(
+        f"{sum(not d.is_clear for d in found)} of {len(found)} figures don't differ by more than noise"
+    )
+    progress.stdout.print(str(out))
+    if limit is not None and any(difference.is_worse_by(limit) for difference in found):
+        raise typer.Exit(1)
+
+
+def _percent(text: str) -> float | None:
+    if not text:
+        return None
+    try:
+        return float(text.removesuffix("%"))
+    except ValueError:
+        raise UserError("this is no percentage", found=text, expected="a number, as in --fail-if-worse 5%") from None
+
+
+def _compared(name: str, profile: str, data: Path) -> "ComparedRun":
+    from groundwalk.opening import open_run
+    from groundwalk.reports.comparison import ComparedRun
+    from groundwalk.store.tables import map_unit
+
+    run = open_run(name, profile, data)
+
+    def table(stage: str, table: str) -> "pd.DataFrame | None":
+        is_there = (run.folder / stage / f"{table}.parquet").is_file() and stage not in run.outdated
+        return run.table(stage, table) if is_there and stage in run.manifests else None
+
+    truth = table("align", "ground_truth")
+    return ComparedRun(
+        name=f"{run.scene}, {run.profile}" if is_name(name) else name,
+        manifests=run.manifests,
+        unit="m" if truth is None else map_unit(truth).symbol,
+        ground_truth=truth,
+        errors=table("fuse", "errors"),
+        validation=table("fuse", "validation"),
+    )
+
+
+def _write_unreadable(out: Path, name: str, stopped: dict[str, Any]) -> None:
+    from groundwalk.reports.unreadable import write_unreadable
+
+    write_unreadable(out, name, {key: str(text) for key, text in stopped.items() if text is not None})
+    for file in ("page.html", VERDICT):
+        progress.stdout.print(str(out / file))
+
+
 def _refuse_without_poses(folder: Path) -> None:
-    """UserError for what holds no capture, or pictures alone."""
-    if not folder.is_dir():
-        raise UserError("there is no such folder", where=folder, expected="a folder of phone captures")
+    """UserError for pictures alone, and for nothing at all."""
     files = capture_files(folder)
-    if files and all(file.suffix.lower() in _PICTURES for file in files):
+    if not files:
+        raise UserError("the folder is empty", where=folder, expected="a folder of phone captures")
+    if all(file.suffix.lower() in _PICTURES for file in files):
         raise UserError(
             "these are photos or videos alone: without the phone's poses (VIO) there is no scale, and nothing that "
             "says which frames to trust",
@@ -180,12 +271,4 @@ def _captures(data: DataRoot, scene: str) -> str:
 
 def _finished(data: DataRoot, scene: str) -> list[str]:
     """`<profile>: <stages>` of each profile that the scene was run with."""
-    runs = []
-    for folder in sorted((data.root / "runs").glob(f"*/{scene}")):
-        stages = [stage for stage in STAGES if (folder / stage / MANIFEST).is_file()]
-        manifests = {stage: read_json(folder / stage / MANIFEST) for stage in stages}
-        outdated = outdated_stages(folder, {stage: m for stage, m in manifests.items() if is_manifest(m)})
-        if stages:
-            named = (f"{stage} (outdated)" if stage in outdated else stage for stage in stages)
-            runs.append(f"{folder.parent.name}: {', '.join(named)}")
-    return runs
+    return [f"{run.folder.parent.name}: {', '.join(run.stages())}" for run in runs_in(data, scene)]

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from pyarrow.parquet import read_metadata
 from scipy.spatial.transform import RigidTransform
 
 from groundwalk.geometry.poses import Array
@@ -19,7 +21,7 @@ from groundwalk.store.hints import run_command, setting_of
 from groundwalk.store.images import Image, image_file, read_image
 from groundwalk.store.manifests import MANIFEST
 from groundwalk.store.reference import column_lines
-from groundwalk.store.schemas import TableSchema, schema
+from groundwalk.store.schemas import TableSchema, schema, stage_tables
 from groundwalk.store.settings import STAGES
 from groundwalk.store.tables import dataset_frames, points_in_map, poses_of, read_table
 
@@ -84,6 +86,49 @@ class Run:
     def simulated(self) -> bool:
         """Whether the captures are simulated: then no error says anything about a real place."""
         return bool(self._manifest["simulated"])
+
+    def _repr_html_(self) -> str:
+        page = f"<p>The page: <code>{escape(str(self.page))}</code></p>" if "report" in self.manifests else ""
+        return f"<pre>{escape(self.summary())}</pre>{page}"
+
+    @property
+    def page(self) -> Path:
+        """The report's page, an HTML file. UserError where the stage report isn't finished."""
+        self._check("report")
+        return self.folder / "report" / "page.html"
+
+    def view(self, *, web: bool = False) -> None:
+        """Open the recordings of the finished stages in the Rerun viewer, or `web` in a browser; returns when it is
+        closed. UserError where there is none."""
+        from groundwalk.store.web_viewer import view_run
+
+        view_run(self.folder, web=web)
+
+    def tables(self) -> pd.DataFrame:
+        """The tables of the finished stages, one row each: stage, table, rows, meaning."""
+        found = [
+            (of, self.folder / stage / f"{of.name}.parquet") for stage in self.manifests for of in stage_tables(stage)
+        ]
+        rows = [(of.stage, of.name, read_metadata(path).num_rows, of.meaning) for of, path in found if path.is_file()]
+        return pd.DataFrame(rows, columns=["stage", "table", "rows", "meaning"])
+
+    @property
+    @_with_columns("import", "sessions")
+    def sessions(self) -> pd.DataFrame:
+        """Recordings of the captures, one row each."""
+        return self.table("import", "sessions")
+
+    @property
+    @_with_columns("import", "rejects")
+    def rejects(self) -> pd.DataFrame:
+        """What import left out of the captures, one row each, and why."""
+        return self.table("import", "rejects")
+
+    @property
+    @_with_columns("align", "checks")
+    def checks(self) -> pd.DataFrame:
+        """What had to hold before ground truth was given out, one row a check, with its status, reason and advice."""
+        return self.table("align", "checks")
 
     @property
     @_with_columns("import", "frames")
@@ -152,7 +197,10 @@ class Run:
     @property
     @_with_columns("fuse", "errors")
     def errors(self) -> pd.DataFrame:
-        """Errors of `poses` and `predictions` against the ground truth, one row a frame, method and model."""
+        """Errors of `poses` and `predictions` against the ground truth, one row a frame with ground truth, method and
+        model. A frame without a pose has a row, too, whose errors are NaN: it counts as failed, so put infinity there
+        before a median.
+        """
         return self.table("fuse", "errors")
 
     @property

@@ -15,7 +15,7 @@ class ReportSettings(Settings):
 
 STAGE = Stage(
     name="report",
-    version=17,
+    version=18,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import",),

@@ -15,7 +15,7 @@ from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import RAW_METHOD
 from groundwalk.reports.run_checks import AGREES
 from groundwalk.reports.statistics import by_walk
-from groundwalk.reports.verdict import Verdict
+from groundwalk.reports.verdict import Problem, Verdict
 from groundwalk.scoring.errors import SURE_CLASSES
 from groundwalk.store.choices import MapUnit, Rejected
 from groundwalk.store.progress import format_seconds
@@ -107,12 +107,12 @@ def classes(scene: SceneInputs, verdict: Verdict) -> Grid:
     return _grid(f"quality-{scene.name}", "Which frames to trust", caption, columns, rows)
 
 
-def problems(scene: SceneInputs, verdict: Verdict) -> Grid | None:
+def problems(name: str, found: list[Problem]) -> Grid | None:
     """What was refused, left out or is undecided, and what to do; None where nothing was."""
-    rows = [[p.what, EMPTY if p.count is None else p.count, p.why, p.do or EMPTY] for p in verdict.problems]
+    rows = [[p.what, EMPTY if p.count is None else p.count, p.why, p.do or EMPTY] for p in found]
     columns = ["what", "frames", "why", "what to do"]
     caption = "What the checks refused, and what would decide or mend it (docs/how-to/failed-check.md)."
-    return _grid(f"problems-{scene.name}", "Refused or undecided", caption, columns, rows, 4) if rows else None
+    return _grid(f"problems-{name}", "Refused or undecided", caption, columns, rows, 4) if rows else None
 
 
 def true_errors(scene: SceneInputs, verdict: Verdict) -> Grid | None:

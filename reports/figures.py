@@ -19,7 +19,7 @@ from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
 from groundwalk.reports.walk_map import from_above, long_side_level, round_length
 from groundwalk.scoring.scores import median_error
 from groundwalk.store.choices import MapUnit
-from groundwalk.store.tables import have_times, poses_of
+from groundwalk.store.tables import poses_of
 
 _NS = 1e-9
 
@@ -38,11 +38,9 @@ def scene_figures(scene: SceneInputs) -> dict[str, list[NamedFigure]]:
     with style.applied():
         has_errors = "fuse" in scene.stages
         figures = {
-            "drift": [drift(scene), residuals(scene)] if len(scene.residuals) and scene.vio_sessions else [],
+            "drift": [drift(scene)] if len(scene.residuals) and scene.vio_sessions else [],
             "training": [learning_curves(scene)] if len(scene.history) else [],
-            "errors": [error_distributions(scene), costs(scene), timeline(scene), confidence(scene)]
-            if has_errors
-            else [],
+            "errors": [error_distributions(scene), costs(scene), confidence(scene)] if has_errors else [],
             "trajectories": [trajectories(scene, model) for model in scene.models if has_errors],
         }
         for figure in chain.from_iterable(figures.values()):
@@ -76,26 +74,6 @@ def drift(scene: SceneInputs) -> NamedFigure:
         f"{scene.name}: VIO's motion over a distance against the ground truth's; thin: the median of each session."
     )
     return NamedFigure("vio-drift", caption, figure)
-
-
-def residuals(scene: SceneInputs) -> NamedFigure:
-    """How far VIO is from the ground truth along each walk, after one rigid fit of the session; jumps are marked."""
-    figure, (metres, degrees) = style.new_figure(2, 1.7, sharex=True)
-    starts = scene.frames.groupby("session_id")["t_ns"].min()
-    for session_id, walk in scene.residuals.sort_values("t_ns").groupby("session_id"):
-        timed = bool(have_times(scene.sessions[scene.sessions["session_id"] == session_id]).all())
-        along = (walk["t_ns"] - starts[session_id]) * (_NS if timed else 1.0)
-        for ax, column in ((metres, "position_m"), (degrees, "rotation_deg")):
-            ax.plot(along, walk[column], color=style.VIO, lw=1, marker="o", ms=2)
-        for jump in scene.jumps.loc[scene.jumps["session_id"] == session_id, "t_ns"]:
-            metres.axvline((jump - starts[session_id]) * _NS, color=style.INK, lw=0.6, ls=":")
-    metres.set(title="VIO away from ground truth", ylabel=f"position ({scene.unit.symbol})")
-    degrees.set(ylabel="rotation (°)", xlabel="time since the session's start (s)")
-    for ax in (metres, degrees):
-        ax.set_ylim(bottom=0)
-    caption = f"{scene.name}: a line a session, whose VIO was fitted to the ground truth rigidly and as a whole"
-    caption += f"; dotted: {len(scene.jumps)} VIO jumps." if len(scene.jumps) else "; VIO has no jumps."
-    return NamedFigure("vio-residuals", caption, figure)
 
 
 # --- training ---------------------------------------------------------------------------------------------------
@@ -286,25 +264,6 @@ def costs(scene: SceneInputs) -> NamedFigure:
         "without a pose counts as failed. Times are the clock's, on the machine that made the predictions."
     )
     return NamedFigure("costs", caption, figure)
-
-
-def timeline(scene: SceneInputs) -> NamedFigure:
-    """Position error of every model in time over the drawn test session, fused where something is."""
-    session, colours = test_session(scene), style.model_colours(scene)
-    figure, (ax,) = style.new_figure(1, 2.3)
-    timed = bool(have_times(scene.sessions[scene.sessions["session_id"] == session]).all())
-    for model in scene.models:
-        errors = scene.frame_errors(model, scene.best(model))
-        errors = errors[(errors["session_id"] == session) & (errors["split"] == "test")].sort_values("t_ns")
-        along = (errors["t_ns"] - errors["t_ns"].min()) * (_NS if timed else 1.0)
-        column = "live_position_m" if scene.fuses else "apr_position_m"
-        ax.plot(along, errors[column], color=colours[model], marker="o", ms=2, lw=0.9, label=scene.label(model))
-    ax.set(ylabel=f"position error ({scene.unit.symbol})", yscale="log", xlabel="time (s)" if timed else "frame")
-    style.log_axis(ax.yaxis)
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=7.5)
-    what = f"{_fused_labels(scene)} in time" if scene.fuses else "every model alone"
-    caption = f"{scene.name}, test session {session}: {what}; a gap is a frame without a pose."
-    return NamedFigure("timeline", caption, figure)
 
 
 def confidence(scene: SceneInputs) -> NamedFigure:

@@ -1,6 +1,7 @@
 """What the report reads of one scene, and the few facts about it that every table and page must say."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -12,10 +13,9 @@ from groundwalk.reports.published import PAPER_METHOD
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.store import StageRun
 from groundwalk.store.choices import Appearance, MapUnit, PoseSource
-from groundwalk.store.files import partial_folder, read_json
+from groundwalk.store.files import STOPPED, partial_folder, read_json
 from groundwalk.store.schemas import schema
 from groundwalk.store.simulated import TRUE_POSES
-from groundwalk.store.stage import STOPPED
 from groundwalk.store.tables import (
     dataset_frames,
     has_vertical,
@@ -50,7 +50,7 @@ class SceneInputs:
     result, with `what`, `where`, `expected`, `found` and `do`. `predictions` are the regressors' and the structure
     localisers', `cards` and `localisers` say what these are. `true_T_cam` (N, 4, 4) are the simulator's poses of the
     rows of `ground_truth`, None of a real capture. `manifests` has those of all stages that went in, by a name to
-    show. `validation` is None where no frames were held out of training.
+    show. `validation` is None where no frames were held out of training, `checks_plot` where align left no picture.
     """
 
     name: str
@@ -82,6 +82,7 @@ class SceneInputs:
     fused_sessions: pd.DataFrame
     methods: pd.DataFrame
     validation: pd.DataFrame | None
+    checks_plot: Path | None
     manifests: dict[str, dict[str, Any]]
 
     @property
@@ -260,8 +261,9 @@ class SceneInputs:
         reasons: list[str] = []
         if not len(self.cards):
             return reasons
-        if self.training_frames < ENOUGH_TRAINING_FRAMES:
-            reasons.append(f"there are only {self.training_frames} training frames")
+        trained_on = int((self.frames["split"] == "train").sum())
+        if trained_on < ENOUGH_TRAINING_FRAMES:
+            reasons.append(f"there are only {trained_on} training frames")
         if self.leak_s is not None and self.leak_s < LEAK_S:
             reasons.append(f"training and test frames are of one walk, as little as {self.leak_s:.1f} s apart")
         if (self.near_copies or 0) > MAX_NEAR_COPIES:
@@ -315,6 +317,8 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
     errors, methods, validation = fused("errors"), read("fuse", "methods", fused_by), fused("validation")
     simulated = bool(manifests["import"]["simulated"])
     has_truth = simulated and len(truth) and (r.data.captures(leaf) / TRUE_POSES).is_file()
+    final = r.data.run(r.profile, leaf, "align")
+    plot = (final if (leaf, "align") in r.sources else partial_folder(final)) / "checks.png"
     return SceneInputs(
         name=leaf,
         environment=r.data.scene(leaf)[0].environment,
@@ -346,6 +350,7 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         # A group's methods may have had nothing to fuse in this scene.
         methods=methods[methods["method"].isin(errors["method"])].reset_index(drop=True),
         validation=validation if len(validation) else None,
+        checks_plot=plot if plot.is_file() else None,
         manifests=manifests,
     )
 

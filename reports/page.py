@@ -5,18 +5,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from groundwalk.geometry.rows import evenly
 from groundwalk.reports import details
 from groundwalk.reports.grids import OURS, Grid, html_table
 from groundwalk.reports.inputs import SceneInputs
+from groundwalk.reports.templating import from_template
 from groundwalk.reports.verdict import State, Verdict, drift_by_distance
-from groundwalk.reports.walk_map import draw, frame_data, thumbnail
+from groundwalk.reports.walk_map import data_address, draw, frame_data, thumbnail
 from groundwalk.store.tables import scale_warning
 
-_TEMPLATES = Path(__file__).parent / "templates"
 _SHEET = 8  # pictures that show what a capture is of
 
 
@@ -39,6 +38,7 @@ class SceneSection:
     sheet: list[tuple[str, str]]
     walk: str
     frames: str
+    checks_plot: str
     pictures: dict[str, list[Picture]]
     grids: dict[str, Grid | None]
     settings: list[tuple[str, str]]
@@ -113,7 +113,7 @@ def section(
     aligned, fused = "align" in scene.stages, "fuse" in scene.stages
     grids: dict[str, Grid | None] = {
         "headline": headline,
-        "problems": details.problems(scene, verdict),
+        "problems": details.problems(scene.name, verdict.problems),
         "classes": details.classes(scene, verdict) if aligned else None,
         "truth": details.true_errors(scene, verdict),
         "sessions": details.sessions(scene),
@@ -137,6 +137,7 @@ def section(
         ],
         walk=draw(scene, verdict),
         frames=frame_data(scene, verdict, image_path),
+        checks_plot=data_address("png", scene.checks_plot.read_bytes()) if scene.checks_plot else "",
         pictures=pictures,
         grids=grids,
         settings=details.stage_settings(scene),
@@ -148,16 +149,9 @@ def render(
 ) -> str:
     """The page as HTML; `grids` are the tables over all scenes, `findings` the rows of report.checks."""
     disagreeing = details.checks(findings, OURS)
-    jinja = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    jinja.filters["svg"] = Markup
     scenes = [section.scene for section in sections]
-    return jinja.get_template("page.html.j2").render(
+    return from_template(
+        "page.html.j2",
         name=name,
         environment=environment,
         profile=profile,
@@ -171,6 +165,4 @@ def render(
         tables={grid.key: Markup(html_table(grid)) for grid in grids},
         checks=len(findings),
         disagreeing=Markup(html_table(disagreeing) if disagreeing else ""),
-        style=Markup((_TEMPLATES / "page.css").read_text(encoding="utf-8")),
-        script=Markup((_TEMPLATES / "page.js").read_text(encoding="utf-8")),
     )

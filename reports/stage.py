@@ -1,5 +1,6 @@
 """Stage report: the verdict on a capture, tables beside the paper's, figures, checks: one page of what is finished."""
 
+from base64 import b64decode
 from pathlib import Path
 
 import pandas as pd
@@ -11,6 +12,7 @@ from groundwalk.reports.grids import OURS, Grid, html_table, latex, markdown
 from groundwalk.reports.inputs import SceneInputs, read_scene
 from groundwalk.reports.published import load_published
 from groundwalk.reports.run_checks import AGREES, as_table, run_findings
+from groundwalk.reports.runs_index import THUMBNAIL
 from groundwalk.reports.tables import Tables
 from groundwalk.reports.verdict import as_json, judge
 from groundwalk.store import StageRun
@@ -38,7 +40,9 @@ def run(r: StageRun[ReportSettings]) -> None:
         (r.work / "page.html").write_text(html, encoding="utf-8")
         for section in sections:
             file = "verdict.json" if len(sections) == 1 else f"verdict-{section.scene.name}.json"
-            write_json(r.work / file, as_json(section.scene, section.verdict))
+            write_json(r.work / file, as_json(section.scene, section.verdict, section.grids["headline"]))
+        if images := [image for section in sections for image, _ in section.sheet]:
+            (r.work / THUMBNAIL).write_bytes(b64decode(images[len(images) // 2].partition(",")[2]))
     r.figure("checks", len(findings))
     r.figure("checks_not_agreeing", int((findings["status"] != AGREES).sum()))
     _say(r, sections)

@@ -10,6 +10,7 @@ import pandas as pd
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, fit_yaw, pose_residuals
 from groundwalk.geometry.poses import Array
+from groundwalk.reports.grids import EMPTY, Grid, Row
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.scoring.errors import SURE_CLASSES, within_bounds
 from groundwalk.store.choices import CheckName, DriftDefinition, MapUnit, QualityClass
@@ -33,6 +34,7 @@ class State(StrEnum):
     ACCEPTED = "accepted"
     UNDECIDED = "undecided"
     REFUSED = "refused"
+    UNREADABLE = "unreadable"
     OPEN = "not judged yet"
 
 
@@ -114,18 +116,29 @@ def judge(scene: SceneInputs) -> Verdict:
 
 def _state(scene: SceneInputs, frames: pd.DataFrame) -> tuple[State, str]:
     if scene.stopped:
-        found = f" ({scene.stopped['found']})" if "found" in scene.stopped else ""
-        return State.REFUSED, f"{scene.stopped['what']}{found}"
+        return State.REFUSED, _sentence(scene.stopped["what"], scene.stopped.get("found"))
     if "align" not in scene.stages:
         return State.OPEN, "ground truth hasn't been made yet: run the stage align"
-    of_map = scene.align_checks[scene.align_checks["check"].isin(_OF_THE_MAP)]
+    return state_of(scene.align_checks, frames["quality"])
+
+
+def state_of(checks: pd.DataFrame, quality: pd.Series) -> tuple[State, str]:
+    """Whether a capture with ground truth is accepted, and why: by the table align.checks, and the quality classes of
+    its frames. This is what page, verdict.json, terminal and the tables of docs/results mean by it."""
+    of_map = checks[checks["check"].isin(_OF_THE_MAP)]
     doubts = list(dict.fromkeys(of_map.loc[of_map["status"] != "passed", "reason"]))
-    share = frames["quality"].isin(SURE_CLASSES).mean()
+    share = quality.isin(SURE_CLASSES).mean()
     if share < MIN_TRUSTED:
         doubts.append(f"{100 * MIN_TRUSTED:.0f} % are needed")
     if doubts:
         return State.UNDECIDED, f"{100 * share:.0f} % of the frames are of class A or B, but: {'; '.join(doubts)}"
     return State.ACCEPTED, f"{100 * share:.0f} % of the frames are of class A or B; scale and vertical are known"
+
+
+def _sentence(what: str, more: str | None) -> str:
+    """A reason on one line; an error's details may be lists with a line each."""
+    lines = [line.strip() for line in (more or "").splitlines()]
+    return f"{what} ({'; '.join(filter(None, lines))})" if more else what
 
 
 def _frames(scene: SceneInputs) -> pd.DataFrame:
@@ -178,8 +191,7 @@ def _vio_in_map(scene: SceneInputs, frames: pd.DataFrame) -> Array:
 def _problems(scene: SceneInputs, frames: pd.DataFrame) -> list[Problem]:
     problems = []
     if scene.stopped:
-        where = f" ({scene.stopped['where']})" if "where" in scene.stopped else ""
-        problems.append(Problem("the capture", None, f"{scene.stopped['what']}{where}", scene.stopped.get("do", "")))
+        problems.append(problem_of(scene.stopped))
     checks = scene.align_checks[scene.align_checks["status"] != "passed"]
     for key, rows in checks.groupby(["status", "check", "reason", "advice"], sort=False):
         status, check, reason, advice = map(str, key)
@@ -189,6 +201,12 @@ def _problems(scene: SceneInputs, frames: pd.DataFrame) -> list[Problem]:
         reasons = pd.Series(grouped_reasons(list(of_class["reason"])), dtype=object)
         problems += [Problem(what, int(count), str(why)) for why, count in reasons.value_counts().items()]
     return problems
+
+
+def problem_of(stopped: dict[str, Any]) -> Problem:
+    """What stopped a stage, as its UserError says it in `what`, `where`, `expected`, `found` and `do`."""
+    details = (f"{name}: {stopped[name].strip()}" for name in ("where", "expected", "found") if stopped.get(name))
+    return Problem("the capture", None, _sentence(stopped["what"], "\n".join(details)), stopped.get("do") or "")
 
 
 def _true_residuals(scene: SceneInputs) -> tuple[Array, Array]:
@@ -244,8 +262,8 @@ def drift_by_distance(scene: SceneInputs) -> list[dict[str, float]]:
     return rows.sort_values("interval")[list(names)].rename(columns=names).to_dict("records")  # type: ignore[return-value]
 
 
-def as_json(scene: SceneInputs, verdict: Verdict) -> dict[str, Any]:
-    """The content of verdict.json: the headline, and every frame."""
+def as_json(scene: SceneInputs, verdict: Verdict, localisers: Grid | None) -> dict[str, Any]:
+    """The content of verdict.json: the headline, every localiser as the page's first screen has it, and every frame."""
     figures = scene.manifests["align"]["figures"] if "align" in scene.stages else {}
     trusted, (coverage, longest) = verdict.trusted, verdict.coverage()
     counts = verdict.frames["quality"].value_counts()
@@ -270,11 +288,19 @@ def as_json(scene: SceneInputs, verdict: Verdict) -> dict[str, Any]:
         "why": verdict.why,
         "length_unit": scene.unit.symbol,
         "headline": _plain(headline),
+        "localisers": [_localiser(row) for block in localisers.blocks for row in block.rows] if localisers else [],
         "true_errors": None if verdict.true_errors is None else _plain(vars(verdict.true_errors)),
         "vio_error_by_distance": [_plain(row) for row in drift_by_distance(scene)],
         "problems": [vars(problem) for problem in verdict.problems],
         "frames": [_plain(row) for row in per_frame.to_dict("records")],
     }
+
+
+def _localiser(row: Row) -> dict[str, Any]:
+    name, *texts = row.cells
+    position, rotation, coverage = (None if text == EMPTY else float(text) for text in (*texts[:2], texts[3]))
+    numbers = {"median_position": position, "median_rotation_deg": rotation, "coverage": coverage}
+    return {"localiser": name, **numbers}
 
 
 def _plain(row: dict[Any, Any]) -> dict[str, Any]:

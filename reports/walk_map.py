@@ -109,6 +109,8 @@ def frame_data(scene: SceneInputs, verdict: Verdict, image_path: Callable[[str],
     frames = verdict.frames
     poses = scene.frames.set_index("frame_id").loc[frames["frame_id"]]
     unit = scene.unit.symbol
+    truth = scene.ground_truth.set_index("frame_id").reindex(frames["frame_id"])
+    refusals: dict[str, list[str]] = {}
     figures: dict[str, pd.Series] = {
         f"sigma, position ({unit})": frames["position_sd"],
         "sigma, rotation (°)": frames["rotation_sd_deg"],
@@ -122,6 +124,10 @@ def frame_data(scene: SceneInputs, verdict: Verdict, image_path: Callable[[str],
         if best and best not in scene.raw_methods:
             name = f"{label}{scene.method_labels[best]} in time ({unit})"
             figures[name] = fused["live_position_m"].reindex(frames["frame_id"])
+        said = scene.predictions[scene.predictions["model"] == model].set_index("frame_id").reindex(frames["frame_id"])
+        if model in set(scene.localisers["model"]):
+            figures[f"{label}, inliers"] = said["inliers"]
+            refusals[label] = said["reason"].fillna("").tolist()
     shown = set(evenly(len(frames), MAX_THUMBNAILS))
     images = [
         thumbnail(image_path(image), x, y) if row in shown else ""
@@ -132,12 +138,15 @@ def frame_data(scene: SceneInputs, verdict: Verdict, image_path: Callable[[str],
     content = {
         "unit": unit,
         "id": frames["frame_id"].tolist(),
+        "session": frames["session_id"].tolist(),
         "split": frames["split"].tolist(),
         "class": frames["quality"].astype(str).tolist(),
         "reason": frames["reason"].tolist(),
         "time": _numbers(frames["seconds"]),
         "place": [_numbers(frames[axis]) for axis in "xyz"],
+        "rotation": [_numbers(truth[f"map_cam_{axis}"]) for axis in ("qw", "qx", "qy", "qz")],
         "figures": {name: _numbers(values) for name, values in figures.items() if values.notna().any()},
+        "refusals": refusals,
         "image": images,
     }
     return json.dumps(content, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
@@ -155,7 +164,12 @@ def thumbnail(path: Path, gravity_x: float, gravity_y: float) -> str:
     done, jpeg = cv2.imencode(".jpg", upright(small, gravity_x, gravity_y), [cv2.IMWRITE_JPEG_QUALITY, 70])
     if not done:
         raise RuntimeError(f"no JPEG of {path}")
-    return f"data:image/jpeg;base64,{base64.b64encode(jpeg.tobytes()).decode()}"
+    return data_address("jpeg", jpeg.tobytes())
+
+
+def data_address(kind: str, content: bytes) -> str:
+    """A picture as an address that holds it."""
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def upright(image: np.ndarray, gravity_x: float, gravity_y: float) -> np.ndarray:

@@ -10,11 +10,9 @@ from groundwalk.store import progress
 from groundwalk.store.cleaning import clean_scene
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import RECORDING
-from groundwalk.store.hints import run_command
 from groundwalk.store.locks import locked
-from groundwalk.store.settings import STAGES, DataRoot
-from groundwalk.store.web_viewer import view_in_browser, view_in_window
+from groundwalk.store.settings import DataRoot
+from groundwalk.store.web_viewer import view_run
 
 app = new_app("Look at, link and remove what the stages made.")
 
@@ -27,13 +25,7 @@ def view(
     data: DataOption = Path("data"),
 ) -> None:
     """Open the recordings of all finished stages in the Rerun viewer; each has its own blueprint."""
-    root = DataRoot(data)
-    recordings = [root.run(profile, scene, stage) / RECORDING for stage in STAGES]
-    files = [path for path in recordings if path.is_file()]
-    if not files:
-        do = run_command(root.run(profile, scene, STAGES[-1]))
-        raise UserError("there is no recording to view", where=root.run(profile, scene), do=do)
-    sys.exit(view_in_browser(files) if web else view_in_window(files))
+    sys.exit(view_run(DataRoot(data).run(profile, scene), web=web))
 
 
 @app.command()

@@ -136,9 +136,11 @@ def stage_help(stage: "Stage[Any]") -> str:
     return f"{stage.help}\n\n{settings_help(stage.name, stage.settings)}"
 
 
-def stage_command(name: str, load: "Callable[[], Stage[Any]]") -> Callable[..., None]:
+def stage_command(
+    name: str, load: "Callable[[], Stage[Any]]", after: Callable[[DataRoot], None] = lambda data: None
+) -> Callable[..., None]:
     """The function behind a stage's command line; `load` gives the stage when it is run, as its libraries take seconds
-    to import."""
+    to import, and `after` is called when it has ended, well or not."""
 
     def main(
         context: typer.Context,
@@ -159,7 +161,10 @@ def stage_command(name: str, load: "Callable[[], Stage[Any]]") -> Callable[..., 
         # Here, as it takes a second, and more than `--help`.
         from groundwalk.store.stage import execute
 
-        execute(load(), scene, profile, DataRoot(data), set_, seed, force)
+        try:
+            execute(load(), scene, profile, DataRoot(data), set_, seed, force)
+        finally:
+            after(DataRoot(data))
 
     return main
 

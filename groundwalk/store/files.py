@@ -18,6 +18,8 @@ from groundwalk.store.text import name_list
 
 KEY_FILE = "key.json"
 RECORDING = "recording.rrd"
+STOPPED = "stopped.json"
+"""In a partial folder: why the stage found no result there, for the report."""
 _digests: dict[tuple[str | int, ...], str] = {}
 _SETTLED_NS = 2 * 10**9  # the coarsest clock of a file system: what is younger may be written again without a trace
 IMPORTED = "import:"

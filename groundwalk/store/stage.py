@@ -24,6 +24,7 @@ from groundwalk.store.definition import Stage
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import (
     RECORDING,
+    STOPPED,
     partial_folder,
     refuse_irreplaceable,
     swap_in,
@@ -51,8 +52,6 @@ from groundwalk.store.tables import (
 S = TypeVar("S", bound=Settings)
 T = TypeVar("T")
 
-STOPPED = "stopped.json"
-"""In a partial folder: why the stage found no result there, for the report."""
 _SCRATCH = "scratch"
 _VERSIONS = (
     "groundwalk",

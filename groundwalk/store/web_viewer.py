@@ -25,11 +25,23 @@ from typing import Any
 from urllib.parse import quote
 
 from groundwalk.store.errors import UserError
+from groundwalk.store.files import RECORDING
+from groundwalk.store.hints import run_command
+from groundwalk.store.settings import STAGES
 
 _LOOPBACK = "127.0.0.1"
 _POLICY = "default-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:"
 _FORWARDED = ("Content-Type", "Content-Encoding", "Cache-Control")
 _STARTED_WITHIN_S = 30.0
+
+
+def view_run(folder: Path, *, web: bool) -> int:
+    """Show the recordings of a run's finished stages until the viewer is closed; its exit status. UserError where there
+    is none."""
+    files = [path for stage in STAGES if (path := folder / stage / RECORDING).is_file()]
+    if not files:
+        raise UserError("there is no recording to view", where=folder, do=run_command(folder / STAGES[-1]))
+    return view_in_browser(files) if web else view_in_window(files)
 
 
 def view_in_window(files: Sequence[Path]) -> int:

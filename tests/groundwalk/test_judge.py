@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from groundwalk import commands
 from groundwalk.pipeline import Reported, Step
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import write_json
+from groundwalk.store.files import partial_folder, write_json
 from groundwalk.store.settings import DataRoot
 
 
@@ -76,8 +76,32 @@ def test_photos_alone_and_no_folder_are_said_in_a_sentence(tmp_path: Path) -> No
     photos.mkdir(parents=True)
     for name in ("a.JPG", "b.heic", "c.mov"):
         (photos / name).touch()
+    out = tmp_path / "out"
     with pytest.raises(UserError, match=r"(?s)photos or videos alone: without the phone's poses.*capture-formats"):
-        judge(photos.parent, "--out", tmp_path / "out")
+        judge(photos.parent, "--out", out)
+    assert "photos or videos alone" in (out / "page.html").read_text() and not (out / "data").exists()
+    assert json.loads((out / "verdict.json").read_text())["verdict"] == "unreadable"
     with pytest.raises(UserError, match="there is no such folder"):
         judge(tmp_path / "nowhere")
-    assert not (tmp_path / "out").exists()
+
+
+def test_what_import_refuses_has_a_page_that_says_what_is_missing(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    why = {"what": "no <capture>", "found": "\n 3 files\n a folder", "do": "copy it again"}
+
+    def run_steps(steps: list[Step], profile: str, data: DataRoot) -> None:
+        partial = partial_folder(data.run(profile, steps[0].scene, "import"))
+        partial.mkdir(parents=True)
+        write_json(partial / "stopped.json", why)
+        raise SystemExit(2)
+
+    monkeypatch.setattr(commands, "run_steps", run_steps)
+    out = tmp_path / "out"
+    assert judge(capture, "--out", out) == 2
+    page, verdict = (out / "page.html").read_text(), json.loads((out / "verdict.json").read_text())
+    assert (
+        "Unreadable.</strong> no &lt;capture&gt;." in page and "<capture>" not in page and "my walk &amp; more" in page
+    )
+    assert (verdict["verdict"], verdict["why"]) == ("unreadable", why["what"])
+    assert verdict["problems"][0]["why"] == "no <capture> (found: 3 files; a folder)"

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,9 @@ PROPERTIES = {
     "poses": ("fuse", "poses"),
     "errors": ("fuse", "errors"),
     "points": ("sfm", "points"),
+    "sessions": ("import", "sessions"),
+    "rejects": ("import", "rejects"),
+    "checks": ("align", "checks"),
 }
 
 
@@ -61,6 +65,31 @@ def test_each_property_is_its_table(make_run: Make) -> None:
     changed = run.errors
     changed["position_m"] = 7.0
     assert (run.errors["position_m"] == 0.5).all()
+
+
+def test_runs_tables_page_and_what_a_notebook_shows(make_run: Make) -> None:
+    made = make_run()
+    run = open_place(made)
+    tables = run.tables().set_index(["stage", "table"])
+    assert tables["rows"]["align", "ground_truth"] == FRAMES and tables["rows"]["fuse", "errors"] == len(run.errors)
+    assert set(tables.index.get_level_values("stage")) == set(run.manifests) and (tables["meaning"] != "").all()
+    assert "<pre>scene" in run._repr_html_()
+    with pytest.raises(UserError, match="stage report of scene place has not been run"):
+        _ = run.page
+    with pytest.raises(UserError, match="there is no recording to view"):
+        run.view()
+    report = made.folder / "report"
+    report.mkdir()
+    (report / "manifest.json").write_text((made.folder / "import" / "manifest.json").read_text())
+    manifest = json.loads((report / "manifest.json").read_text()) | {"stage": "report", "inputs": {}}
+    (report / "manifest.json").write_text(json.dumps(manifest))
+    (report / "verdict.json").write_text('{"verdict": "accepted"}')
+    assert open_place(made).page == report / "page.html" and "page.html" in open_place(made)._repr_html_()
+    (row,) = groundwalk.runs(made.data.root).to_dict("records")
+    assert (row["scene"], row["profile"], row["verdict"], row["simulated"]) == ("place", "tiny", "accepted", False)
+    assert row["stages"] == list(open_place(made).manifests) and row["folder"] == made.folder
+    assert set(dir(groundwalk)) == {*groundwalk.__all__, "__version__"}
+    assert groundwalk.__version__ == version("groundwalk")
 
 
 def test_predictions_are_those_of_regressors_and_localisers(make_run: Make) -> None:

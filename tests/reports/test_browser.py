@@ -1,18 +1,21 @@
 """The page in a real browser: nothing is fetched, nothing overflows, and its controls show what the tables hold."""
 
+import csv
 import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from groundwalk.reports.definition import STAGE
+from groundwalk.scoring.errors import rotation_error_deg
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.stage import execute
-from groundwalk.store.tables import read_table
+from groundwalk.store.tables import poses_of, read_table
 
 BROWSER = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
 api = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install -e '.[page]'")
@@ -93,7 +96,17 @@ def test_a_frame_can_be_asked_what_it_is(browser: Any, run: Path) -> None:
     assert found["id"] == truth.index[5] and found["split"] == truth["split"].iloc[5]
     assert float(found["PN alone (m)"]) == pytest.approx(alone[found["id"]], rel=0.01)
     assert float(found["sigma, position (m)"]) == pytest.approx(truth["position_sd_m"].iloc[5])
-    assert page.locator(".frame img").get_attribute("src").startswith("data:image/jpeg")
+    assert page.locator(".frame img").first.get_attribute("src").startswith("data:image/jpeg")
+    placed = truth[truth["map_cam_tx"].notna()]
+    poses, row = poses_of(placed, "map_cam"), placed.index.get_loc(found["id"])
+    apart = np.linalg.norm(poses[:, :3, 3] - poses[row, :3, 3], axis=1)
+    apart[
+        (placed["split"] != "train") | (rotation_error_deg(poses, poses[row]) > 45) | (np.arange(len(poses)) == row)
+    ] = 99
+    best, near = apart.argmin(), found["nearest training frame"].split(", ")
+    assert near[0] == placed.index[best] and float(near[1].split()[0]) == pytest.approx(apart[best], rel=0.01)
+    inliers = read_table(run / "localise" / "predictions.parquet", schema("localise", "predictions"))
+    assert float(found["Map, inliers"]) == inliers.set_index("frame_id")["inliers"][found["id"]]
     mark = page.locator('circle[data-row="40"]')
     mark.click(force=True)
     assert shown()["id"] == truth.index[40] and "chosen" in mark.get_attribute("class")
@@ -101,16 +114,46 @@ def test_a_frame_can_be_asked_what_it_is(browser: Any, run: Path) -> None:
     before = mark.evaluate(fill)
     page.locator(".controls select").select_option("PN alone (m)")
     assert mark.evaluate(fill) != before and page.locator(".legend").is_visible()
+    strip = page.locator(".strip").bounding_box()
+    page.mouse.click(strip["x"] + strip["width"] * 12.5 / len(truth), strip["y"] + 20)
+    assert shown()["id"] == truth.index[12]
     page.locator(".controls select").select_option("")
     assert mark.evaluate(fill) == before and not page.locator(".legend").is_visible()
+    context.close()
+
+
+def test_tables_sort_and_copy(browser: Any, run: Path) -> None:
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    page = opened(context, run)
+    table = page.locator("#headline-Yard table")
+    column = "rows => rows.map(row => Number(row.cells[1].textContent))"
+    head = table.locator("th button").nth(1)
+    head.focus()
+    for order, reverse in (("ascending", False), ("descending", True)):
+        page.keyboard.press("Enter")
+        values = table.locator("tbody tr").evaluate_all(column)
+        assert len(values) == 6 and values == sorted(values, reverse=reverse)
+        assert table.locator("th").nth(1).get_attribute("aria-sort") == order
+    cells = table.locator("tbody tr").evaluate_all("rows => rows.map(row => [...row.cells].map(c => c.textContent))")
+    heads = table.locator("th").evaluate_all("heads => heads.map(head => head.textContent)")
+    page.evaluate("document.addEventListener('copy', () => window.copied = document.activeElement.value)")
+    copied = {}
+    for name in ("CSV", "Markdown", "LaTeX"):
+        page.locator("#headline-Yard .copies button", has_text=name).click()
+        assert page.locator("#headline-Yard [role=status]").inner_text() == "copied"
+        copied[name] = page.evaluate("window.copied")
+    assert list(csv.reader(copied["CSV"].splitlines())) == [heads, *cells]
+    lines = copied["Markdown"].splitlines()
+    assert [line.strip("| ").split(" | ") for line in (lines[0], *lines[2:])] == [heads, *cells]
+    assert copied["LaTeX"].count(r" \\") == 1 + len(cells) and r"coverage (\%) \\" in copied["LaTeX"]
     context.close()
 
 
 def test_without_script_all_tables_and_drawings_stand(browser: Any, run: Path) -> None:
     context = browser.new_context(java_script_enabled=False, viewport={"width": 1280, "height": 900})
     page = opened(context, run)
-    assert page.locator(".walk circle").count() > 90 and page.locator(".picture svg").count() >= 7
+    assert page.locator(".walk circle").count() > 90 and page.locator(".picture svg").count() >= 5
     for table in ("headline-Yard", "problems-Yard", "quality-Yard", "table1", "table4"):
         assert page.locator(f"#{table} table").first.is_visible()
-    assert not page.locator(".controls").is_visible()
+    assert not page.locator(".controls, .copies").first.is_visible()
     context.close()

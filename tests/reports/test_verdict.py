@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from base64 import b64encode
 from collections.abc import Callable
 
 import numpy as np
@@ -114,9 +115,12 @@ def test_a_refused_capture_says_why_and_what_to_do(make_run: MakeRun) -> None:
         shutil.rmtree(run / name)
     (run / ".align.partial").mkdir()
     why = {"what": "the SfM model fails its consistency checks: <b>aliasing</b>", "do": "record & retry 100 %"}
-    write_json(run / ".align.partial" / "stopped.json", why)
+    write_json(run / ".align.partial" / "stopped.json", why | {"found": "\nfirst attempt\nsecond attempt"})
+    (run / ".align.partial" / "checks.png").write_bytes(b"a picture")
     page, verdict = judged(data, "Yard")
-    assert verdict["verdict"] == "refused" and verdict["why"] == why["what"]
+    assert verdict["verdict"] == "refused" and verdict["why"] == why["what"] + " (first attempt; second attempt)"
+    first_screen = page[: page.index('<section id="capture">')]
+    assert f"data:image/png;base64,{b64encode(b'a picture').decode()}" in first_screen
     assert {frame["quality"] for frame in verdict["frames"]} == {"none"}
     assert "&lt;b&gt;aliasing" in page and "<b>aliasing" not in page and "record &amp; retry 100 %" in page
 
