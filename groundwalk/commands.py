@@ -174,19 +174,23 @@ def _percent(text: str) -> float | None:
 def _compared(name: str, profile: str, data: Path) -> "ComparedRun":
     from groundwalk.opening import open_run
     from groundwalk.reports.comparison import ComparedRun
+    from groundwalk.store.schemas import schema
     from groundwalk.store.tables import map_unit
 
     run = open_run(name, profile, data)
 
-    def table(stage: str, table: str) -> "pd.DataFrame | None":
+    def table(stage: str, table: str) -> "pd.DataFrame":
         is_there = (run.folder / stage / f"{table}.parquet").is_file() and stage not in run.outdated
-        return run.table(stage, table) if is_there and stage in run.manifests else None
+        if is_there and stage in run.manifests:
+            return run.table(stage, table)
+        empty: pd.DataFrame = schema(stage, table).arrow().empty_table().to_pandas()
+        return empty
 
     truth = table("align", "ground_truth")
     return ComparedRun(
         name=f"{run.scene}, {run.profile}" if is_name(name) else name,
         manifests=run.manifests,
-        unit="m" if truth is None else map_unit(truth).symbol,
+        unit=map_unit(truth).symbol,
         ground_truth=truth,
         errors=table("fuse", "errors"),
         validation=table("fuse", "validation"),

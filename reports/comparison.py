@@ -41,15 +41,15 @@ _FIGURES = {
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """A run as it takes part: its name, the manifests of its stages, and its tables; those of stages that aren't
-    finished are None. `unit` is that of the map."""
+    """A run as it takes part: its name, the manifests of its stages, and its tables, which are empty
+    where a stage isn't finished. `unit` is that of the map."""
 
     name: str
     manifests: dict[str, dict[str, Any]]
     unit: str
-    ground_truth: pd.DataFrame | None
-    errors: pd.DataFrame | None
-    validation: pd.DataFrame | None
+    ground_truth: pd.DataFrame
+    errors: pd.DataFrame
+    validation: pd.DataFrame
 
 
 @dataclass(frozen=True)
@@ -89,43 +89,29 @@ class Difference:
 def differences(first: ComparedRun, other: ComparedRun) -> list[Difference]:
     """The figures of two runs, ground truth's and then each localiser's, alone and as the first run's report shows it
     fused, as far as both have them."""
-    found = (
-        list(_paired(other.name, _TRUTH, _TRUTH, *map(_sigmas, (first, other))))
-        if _both("ground_truth", first, other)
-        else []
+    sigmas = (
+        run.ground_truth.assign(
+            scene="", position=run.ground_truth["position_sd_m"], rotation=run.ground_truth["rotation_sd_deg"]
+        )
+        for run in (first, other)
     )
-    if _both("errors", first, other):
-        assert first.errors is not None and other.errors is not None
-        for model, method in _ways(first):
-            errors = [_errors(run.errors, model, method) for run in (first, other)]
-            name = f"{model}, alone" if method == _ALONE else f"{model} with {method}"
-            found += _paired(other.name, name, _ALONE, *errors)
+    found = list(_paired(other.name, _TRUTH, _TRUTH, *sigmas))
+    for model, method in _ways(first):
+        name = f"{model}, alone" if method == _ALONE else f"{model} with {method}"
+        found += _paired(other.name, name, _ALONE, *(_errors(run.errors, model, method) for run in (first, other)))
     return found
-
-
-def _both(table: str, *runs: ComparedRun) -> bool:
-    return all(getattr(run, table) is not None and len(getattr(run, table)) for run in runs)
 
 
 def _ways(run: ComparedRun) -> Iterator[tuple[str, str]]:
     """Model and method: each model alone, and with the method that is ahead on frames held out of training."""
-    assert run.errors is not None
+    ahead = run.validation[run.validation["ahead"].astype(bool) & (run.validation["method"] != _ALONE)]
     for model in dict.fromkeys(run.errors["model"]):
         yield model, _ALONE
-        if run.validation is not None:
-            ahead = run.validation[(run.validation["model"] == model) & run.validation["ahead"]]["method"]
-            yield from ((model, method) for method in ahead.head(1) if method != _ALONE)
+        yield from ((model, method) for method in ahead.loc[ahead["model"] == model, "method"].head(1))
 
 
-def _sigmas(run: ComparedRun) -> pd.DataFrame:
-    truth = run.ground_truth
-    assert truth is not None
-    return truth.assign(scene="", position=truth["position_sd_m"], rotation=truth["rotation_sd_deg"])
-
-
-def _errors(errors: pd.DataFrame | None, model: str, method: str) -> pd.DataFrame:
+def _errors(errors: pd.DataFrame, model: str, method: str) -> pd.DataFrame:
     """The errors in time of test frames; those of a method with several options are of the first."""
-    assert errors is not None
     rows = errors[(errors["model"] == model) & (errors["split"] == "test")]
     if method == _ALONE:  # which stands by each method's
         rows, prefix = rows.drop_duplicates(["scene", "frame_id"]), "apr_"

@@ -11,17 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from groundwalk.geometry.poses import Array
 from groundwalk.reports import style
 from groundwalk.reports.details import small_unit
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
-from groundwalk.reports.walk_map import from_above, long_side_level, round_length
 from groundwalk.scoring.scores import median_error
 from groundwalk.store.choices import MapUnit
-from groundwalk.store.tables import poses_of
-
-_NS = 1e-9
 
 
 @dataclass(frozen=True)
@@ -40,8 +34,7 @@ def scene_figures(scene: SceneInputs) -> dict[str, list[NamedFigure]]:
         figures = {
             "drift": [drift(scene)] if len(scene.residuals) and scene.vio_sessions else [],
             "training": [learning_curves(scene)] if len(scene.history) else [],
-            "errors": [error_distributions(scene), costs(scene), confidence(scene)] if has_errors else [],
-            "trajectories": [trajectories(scene, model) for model in scene.models if has_errors],
+            "errors": [error_distributions(scene), costs(scene)] if has_errors else [],
         }
         for figure in chain.from_iterable(figures.values()):
             # A picture is passed on without its caption.
@@ -108,93 +101,6 @@ def learning_curves(scene: SceneInputs) -> NamedFigure:
 
 
 # --- errors ---------------------------------------------------------------------------------------------------
-
-
-def test_session(scene: SceneInputs) -> str:
-    """The test session with the most frames with ground truth, of those where something was fused if any: the one that
-    is drawn."""
-    test = scene.errors[scene.errors["split"] == "test"]
-    if scene.fuses:
-        test = test[~test["session_id"].isin(scene.unfused_sessions)]
-    return str(test.groupby("session_id")["frame_id"].nunique().idxmax())
-
-
-def trajectories(scene: SceneInputs, model: str) -> NamedFigure:
-    """The model alone, the fused method in time, and that which is ahead on held-out frames where it's another one,
-    over one test session seen from above."""
-    session = test_session(scene)
-    truth = scene.ground_truth[scene.ground_truth["session_id"] == session].sort_values("t_ns")
-    truth_xy = from_above(poses_of(truth, "map_cam")[:, :3, 3])
-    level = long_side_level(truth_xy)
-    truth_xy = truth_xy @ level
-    label, ahead = scene.label(model), scene.ahead(model)
-
-    def panel(title: str, poses: pd.DataFrame, column: str, method: str | None = None) -> tuple[str, Array, Array]:
-        errors = scene.frame_errors(model, method)
-        errors = errors[(errors["session_id"] == session) & (errors["split"] == "test")]
-        group = "map_cam" if method is None else "live_map_cam"
-        return title, _positions(errors, poses, group) @ level, errors[column].to_numpy(float)
-
-    panels = [panel(label, scene.predictions[scene.predictions["model"] == model], "apr_position_m")]
-    parts = [f"{label} alone"]
-    for method in dict.fromkeys([scene.fused_method, ahead]):
-        if method is None or method in scene.raw_methods:
-            continue
-        title = label + scene.method_labels[method]
-        panels.append(panel(title, scene.fused_poses(model, method), "live_position_m", method))
-        rule = "with VIO by the paper's rule" if method == PAPER_METHOD else title
-        parts.append(rule + (", ahead on held-out frames" if method == ahead else ""))
-    order = ", from top to bottom" if len(panels) > 1 else ""
-    caption = f"{scene.name}, test session {session}, from above{order}: {'; '.join(parts)}. Coloured by "
-    caption += "position error; the thin line joins poses in order of time."
-    known = np.concatenate([e[np.isfinite(e)] for _, _, e in panels])
-    worst = float(np.percentile(known, 95)) if len(known) else 1.0
-    low, high = _limits(truth_xy)
-
-    # A panel's height follows the place's shape, within what fits a page.
-    shape = (high[1] - low[1]) / (high[0] - low[0])
-    figure, axes = style.new_figure(len(panels), float(np.clip(2.7 * shape + 0.5, 1.5, 3.2)))
-    for ax, (title, xy, error) in zip(axes, panels, strict=True):
-        ax.plot(truth_xy[:, 0], truth_xy[:, 1], color=style.GROUND_TRUTH, lw=2.2, label="ground truth")
-        ax.plot(xy[:, 0], xy[:, 1], color=style.NEUTRAL, lw=0.7)
-        colours: Any = {"c": error, "cmap": style.ERROR_MAP, "vmin": 0, "vmax": worst}
-        points = ax.scatter(xy[:, 0], xy[:, 1], s=11, lw=0.3, ec=style.INK, zorder=3, **colours)
-        known_xy = xy[np.isfinite(xy).all(axis=1)]
-        outside = int(((known_xy < low) | (known_xy > high)).any(axis=1).sum())
-        missing = len(xy) - len(known_xy)
-        counts = [f"{n} {what}" for n, what in ((outside, "outside the picture"), (missing, "without a pose")) if n]
-        ax.set_title(title if not counts else f"{title}\n{', '.join(counts)}", fontsize=8.5)
-        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
-        ax.spines[:].set_visible(False)
-        _scale_bar(ax, scene.unit)
-    axes[0].legend(loc="lower left", borderaxespad=0, fontsize=7.5)
-    bar = figure.colorbar(
-        points, ax=axes, aspect=25, fraction=0.05, extend="max", label=f"position error ({scene.unit.symbol})"
-    )
-    bar.ax.grid(False)
-    return NamedFigure(f"trajectory-{_file(model)}", caption, figure)
-
-
-def _positions(errors: pd.DataFrame, poses: pd.DataFrame, group: str) -> Array:
-    """Picture positions (N, 2) of a pose group of `poses` in the order of `errors`; NaN where there is none."""
-    matched = errors[["frame_id"]].merge(poses.drop_duplicates("frame_id"), on="frame_id", how="left")
-    return from_above(poses_of(matched, group)[:, :3, 3])
-
-
-def _limits(xy_N2: Array) -> tuple[Array, Array]:
-    """The picture's lower left and upper right: half again as wide as the walk, which shows how errors spread without
-    letting the worst outlier set the scale."""
-    low, high = np.nanmin(xy_N2, axis=0), np.nanmax(xy_N2, axis=0)
-    margin = 0.25 * max(float((high - low).max()), 0.1)
-    return low - margin, high + margin
-
-
-def _scale_bar(ax: Axes, unit: MapUnit) -> None:
-    low, high = ax.get_xlim()
-    length = round_length((high - low) / 5)
-    y = ax.get_ylim()[0] + 0.03 * np.ptp(ax.get_ylim())
-    ax.plot([high - length, high], [y, y], color=ax.xaxis.label.get_color(), lw=1.5)
-    ax.text(high - length / 2, y, f"{length:g} {unit.symbol}", ha="center", va="bottom", fontsize=7.5)
 
 
 def error_distributions(scene: SceneInputs) -> NamedFigure:
@@ -264,43 +170,3 @@ def costs(scene: SceneInputs) -> NamedFigure:
         "without a pose counts as failed. Times are the clock's, on the machine that made the predictions."
     )
     return NamedFigure("costs", caption, figure)
-
-
-def confidence(scene: SceneInputs) -> NamedFigure:
-    """Mean errors of each model alone and fused over all evaluated frames in time, with their 95 % intervals over
-    sessions."""
-    rows = scene.intervals[scene.intervals["subset"] == "all"]
-    shown = [
-        method in (RAW_METHOD, scene.best(model)) for model, method in zip(rows["model"], rows["method"], strict=True)
-    ]
-    rows = rows[shown]
-    names = list(dict.fromkeys(zip(rows["model"], rows["method"], strict=True)))
-    figure, axes = style.new_figure(2, 0.17 * len(names) + 0.5)
-    colours = style.model_colours(scene)
-    for ax, (quantity, label) in zip(
-        axes, (("position_mean_m", scene.unit.symbol), ("rotation_mean_deg", "°")), strict=True
-    ):
-        of_quantity = rows[rows["figure"] == quantity].set_index(["model", "method"])
-        for y, name in enumerate(names):
-            interval: Any = of_quantity.loc[name]
-            colour = colours[name[0]]
-            ax.plot([interval["low"], interval["high"]], [y, y], color=colour, lw=1.2)
-            ax.plot(interval["value"], y, "o", color=colour, ms=4)
-        ax.set(title=f"Mean {quantity.split('_')[0]} error ({label})", xlim=(0, None))
-        ax.grid(axis="y", visible=False)
-    labels = [scene.label(model) + scene.method_labels[method] for model, method in names]
-    for ax in axes:
-        ax.set(yticks=range(len(names)), yticklabels=labels)
-        ax.invert_yaxis()
-    sessions, draws = (int(rows[column].max()) for column in ("sessions", "draws"))
-    caption = (
-        f"{scene.name}: means over all {scene.evaluated_splits} frames, and 95 % intervals by drawing their "
-        f"{sessions} sessions again, which can be done in {draws} ways: with few sessions an interval says little."
-    )
-    if scene.unfused_sessions and scene.fuses:
-        caption += " Methods that fuse are over the sessions with VIO, models alone over all."
-    return NamedFigure("intervals", caption, figure)
-
-
-def _file(model: str) -> str:
-    return model.lower().replace(" ", "-")

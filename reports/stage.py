@@ -87,6 +87,6 @@ def _say(r: StageRun[ReportSettings], sections: list[page.SceneSection]) -> None
         if why := scene.why_alone():
             r.say(f"{scene.name}: {why}")
         for row in (row for block in headline.blocks for row in block.rows) if headline else ():
-            name, metres, degrees, _, coverage = row.cells
+            name, metres, degrees, _, coverage, _ = row.cells
             r.say(f"{scene.name}: {name}: median {metres} {scene.unit.symbol}, {degrees}°; {coverage} % have a pose")
     r.say(f"page: {r.data.run(r.profile, r.scene.name, 'report') / 'page.html'}")

@@ -28,8 +28,6 @@ def _hex(rgb: tuple[int, int, int]) -> str:
 GROUND_TRUTH = _hex(colours.GROUND_TRUTH)
 VIO = _hex(colours.VIO)
 NEUTRAL = _hex(colours.NEUTRAL)
-# Told apart in grey print and by colour-blind readers; for quantities, not for kinds of poses.
-ERROR_MAP = "cividis_r"
 
 WIDTH = 3.6  # inches: a column of a paper, and of the page
 # Text and axes; no data has this colour, so that in SVG it can become the page's own text colour.

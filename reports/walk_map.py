@@ -4,6 +4,7 @@ import base64
 import json
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from groundwalk.reports.verdict import Verdict
 from groundwalk.store.choices import QualityClass
 from groundwalk.store.images import read_image
 from groundwalk.store.progress import track
+from groundwalk.store.tables import poses_of
 
 _WIDTH = 1000.0
 _MIN_HEIGHT, _MAX_HEIGHT = 240.0, 760.0
@@ -28,23 +30,50 @@ MAX_THUMBNAILS = 800
 """Frames whose image is in the page, spread evenly over the capture: some 4 MB."""
 
 
-def from_above(xyz_N3: Array) -> Array:
-    """Map positions (N, 3), +y up, as picture coordinates (N, 2) seen from above."""
-    return np.stack([xyz_N3[:, 0], -xyz_N3[:, 2]], axis=1)
+@dataclass(frozen=True)
+class Plan:
+    """Map positions (N, 3), +y up, seen from above, as picture coordinates: their long side lies level, as a map's
+    heading is arbitrary and a page is wide."""
+
+    level: Array
+    low: Array
+    scale: float
+    origin: Array
+    size: Array
+
+    def drawn(self, xyz_N3: Array) -> Array:
+        return self.origin + self.scale * (_from_above(xyz_N3) @ self.level - self.low)
 
 
-def long_side_level(xy_N2: Array) -> Array:
-    """The rotation (2, 2), for rows from the right, that lays the long side of a walk level: a map's heading is
-    arbitrary, and a page is wide."""
+def plan_of(frames: pd.DataFrame) -> Plan | None:
+    """The plan on which all of a verdict's `frames` and VIO's path find room; None where no frame has a place."""
+    truth, vio = (frames[list(columns)].to_numpy(float) for columns in ("xyz", ["vio_x", "vio_y", "vio_z"]))
+    level = _long_side_level(_from_above(truth))
+    known = _from_above(np.concatenate([truth, vio])) @ level
+    known = known[np.isfinite(known).all(axis=1)]
+    if not len(known):
+        return None
+    low, extent = known.min(axis=0), np.maximum(np.ptp(known, axis=0), 1e-3)
+    scale = min((_WIDTH - 2 * _MARGIN) / extent[0], (_MAX_HEIGHT - 2 * _MARGIN) / extent[1])
+    size = np.array([_WIDTH, max(_MIN_HEIGHT, scale * extent[1] + 2 * _MARGIN)])
+    return Plan(level, low, scale, (size - scale * extent) / 2, size)
+
+
+def _from_above(xyz_N3: Array) -> Array:
+    return xyz_N3[:, [0, 2]] * [1, -1]
+
+
+def _long_side_level(xy_N2: Array) -> Array:
+    """The rotation (2, 2), for rows from the right, and the picture's y, which is downwards."""
     known = xy_N2[np.isfinite(xy_N2).all(axis=1)]
     if len(known) < 2:
-        return np.eye(2)
+        return np.diag([1.0, -1.0])
     long_side = np.linalg.svd(known - known.mean(axis=0))[2][0]
     x, y = long_side if long_side[0] >= 0 else -long_side
-    return np.array([[x, -y], [y, x]])
+    return np.array([[x, y], [y, -x]])
 
 
-def round_length(length: float) -> float:
+def _round_length(length: float) -> float:
     """The nearest of 1, 2, 5 times a power of ten that isn't longer."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(max(m * power for m in (1, 2, 5) if m * power <= length))
@@ -54,36 +83,25 @@ def draw(scene: SceneInputs, verdict: Verdict) -> str:
     """The map as SVG: VIO's path, the ground truth's, and a mark a frame, whose class is its quality; frames without
     ground truth stand where VIO has them. Empty where no frame has a place."""
     frames = verdict.frames
-    truth, vio = (from_above(frames[list(columns)].to_numpy(float)) for columns in ("xyz", ["vio_x", "vio_y", "vio_z"]))
-    level = long_side_level(truth)
-    # Pictures have y downwards.
-    truth, vio = truth @ level * [1, -1], vio @ level * [1, -1]
-    places = np.where(np.isnan(truth), vio, truth)
-    known = np.concatenate([places, vio])[np.isfinite(np.concatenate([places, vio])).all(axis=1)]
-    if not len(known):
+    plan = plan_of(frames)
+    if plan is None:
         return ""
-    low, extent = known.min(axis=0), np.maximum(np.ptp(known, axis=0), 1e-3)
-    scale = min((_WIDTH - 2 * _MARGIN) / extent[0], (_MAX_HEIGHT - 2 * _MARGIN) / extent[1])
-    size = np.array([_WIDTH, max(_MIN_HEIGHT, scale * extent[1] + 2 * _MARGIN)])
-    origin = (size - scale * extent) / 2
-
-    def drawn(xy_N2: Array) -> Array:
-        return origin + scale * (xy_N2 - low)
-
-    radius = float(np.clip(130 / math.sqrt(len(frames)), 4.5, 11))
+    truth, vio = (plan.drawn(frames[list(xyz)].to_numpy(float)) for xyz in ("xyz", ["vio_x", "vio_y", "vio_z"]))
+    (width, height), radius = plan.size, float(np.clip(130 / math.sqrt(len(frames)), 4.5, 11))
     label = f"{scene.name} from above: {len(frames)} frames"
-    parts = [f'<svg class="walk" viewBox="0 0 {size[0]:.0f} {size[1]:.0f}" role="img" aria-label="{escape(label)}">']
-    for name, path in (("vio", drawn(vio)), ("truth", drawn(truth))):
+    parts = [f'<svg class="walk" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(label)}">']
+    for name, path in (("vio", vio), ("truth", truth)):
         for rows in frames.groupby("session_id").indices.values():
             parts += [f'<polyline class="{name}" points="{line}"/>' for line in _lines(path[rows])]
-    for row, (x, y) in enumerate(drawn(places)):
+    parts.append('<path class="answers"/>')
+    for row, (x, y) in enumerate(np.where(np.isnan(truth), vio, truth)):
         if math.isfinite(x):
             title = escape(f"{frames['frame_id'][row]}: {_meaning(frames, row)}")
             mark = f'class="q-{frames["quality"][row]}" data-row="{row}" cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}"'
             parts.append(f"<circle {mark}><title>{title}</title></circle>")
-    length = round_length(extent[0] / 4)
-    right, bottom = size[0] - 12, size[1] - 12
-    parts.append(f'<path class="bar" d="M{right - scale * length:.1f} {bottom:.1f}H{right:.1f}"/>')
+    length = _round_length((width - 2 * _MARGIN) / plan.scale / 4)
+    right, bottom = width - 12, height - 12
+    parts.append(f'<path class="bar" d="M{right - plan.scale * length:.1f} {bottom:.1f}H{right:.1f}"/>')
     parts.append(f'<text x="{right:.1f}" y="{bottom - 8:.1f}">{length:g} {scene.unit.symbol}</text></svg>')
     return "".join(parts)
 
@@ -117,15 +135,24 @@ def frame_data(scene: SceneInputs, verdict: Verdict, image_path: Callable[[str],
         f"VIO from ground truth ({unit})": frames["vio_error"],
         f"ground truth from the truth ({unit})": frames["true_error"],
     }
+    answers: dict[str, list[list[float | None]]] = {}
+
+    def add(name: str, errors: pd.Series, poses: pd.DataFrame, group: str) -> None:
+        figures[name] = errors.reindex(frames["frame_id"])
+        poses = poses.drop_duplicates("frame_id").set_index("frame_id").reindex(frames["frame_id"])
+        if plan := plan_of(frames):
+            answers[name] = [_numbers(axis) for axis in plan.drawn(poses_of(poses, group)[:, :3, 3]).T]
+
     for model in scene.models:
         best, label = scene.best(model), scene.label(model)
         fused = scene.frame_errors(model, best).set_index("frame_id")
-        figures[f"{label} alone ({unit})"] = fused["apr_position_m"].reindex(frames["frame_id"])
+        predicted = scene.predictions[scene.predictions["model"] == model]
+        add(f"{label} alone ({unit})", fused["apr_position_m"], predicted, "map_cam")
         if best and best not in scene.raw_methods:
             name = f"{label}{scene.method_labels[best]} in time ({unit})"
-            figures[name] = fused["live_position_m"].reindex(frames["frame_id"])
-        said = scene.predictions[scene.predictions["model"] == model].set_index("frame_id").reindex(frames["frame_id"])
+            add(name, fused["live_position_m"], scene.fused_poses(model, best), "live_map_cam")
         if model in set(scene.localisers["model"]):
+            said = predicted.set_index("frame_id").reindex(frames["frame_id"])
             figures[f"{label}, inliers"] = said["inliers"]
             refusals[label] = said["reason"].fillna("").tolist()
     shown = set(evenly(len(frames), MAX_THUMBNAILS))
@@ -146,6 +173,7 @@ def frame_data(scene: SceneInputs, verdict: Verdict, image_path: Callable[[str],
         "place": [_numbers(frames[axis]) for axis in "xyz"],
         "rotation": [_numbers(truth[f"map_cam_{axis}"]) for axis in ("qw", "qx", "qy", "qz")],
         "figures": {name: _numbers(values) for name, values in figures.items() if values.notna().any()},
+        "answers": answers,
         "refusals": refusals,
         "image": images,
     }

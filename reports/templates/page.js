@@ -99,7 +99,9 @@ for (const box of document.querySelectorAll(".frames")) {
   };
 
   const colour = () => {
-    const values = data.figures[by.value];
+    const values = data.figures[by.value], [xs, ys] = data.answers[by.value] ?? [[], []];
+    const line = (mark) => xs[mark.dataset.row] == null || values[mark.dataset.row] === null ? "" : `M${mark.getAttribute("cx")} ${mark.getAttribute("cy")}L${xs[mark.dataset.row]} ${ys[mark.dataset.row]}`;
+    box.querySelector(".answers").setAttribute("d", marks.map(line).join(""));
     legend.hidden = strip.parentElement.hidden = !values;
     box.classList.toggle("by-figure", Boolean(values));
     if (!values) return marks.forEach((mark) => mark.style.removeProperty("fill"));
@@ -109,7 +111,7 @@ for (const box of document.querySelectorAll(".frames")) {
       const value = values[mark.dataset.row];
       mark.style.fill = value === null ? "transparent" : steps[Math.min(5, Math.floor(6 * value / most))];
     }
-    legend.lastChild.textContent = ` ${say(most)} and more (95 % of frames are below); hollow: none`;
+    legend.lastChild.textContent = ` ${say(most)} and more (95 % of frames are below); hollow: none${xs.length ? "; a line leads to the answer" : ""}`;
     draw(values, most);
   };
 

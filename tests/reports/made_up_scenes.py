@@ -239,7 +239,7 @@ class MadeUpScene:
                 key: dict[str, object] = {"method": method, "options": "{}"}
                 key |= {"model": model, "scene": self.name, "subset": "all"}
                 key |= {"value": value, "low": 0.8 * value, "high": None if method == "apr" else 1.3 * value}
-                figures = ("position_mean_m", "rotation_mean_deg")
+                figures = ("position_median_m", "rotation_mean_deg")
                 rows += [key | {"figure": figure, "sessions": 2, "draws": 3} for figure in figures]
         return pd.DataFrame(rows)
 

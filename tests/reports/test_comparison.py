@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,12 +24,17 @@ RNG = np.random.default_rng(0)
 ERRORS = RNG.lognormal(0, 0.5, FRAMES)
 
 
+def empty(stage: str, table: str) -> pd.DataFrame:
+    rows: pd.DataFrame = schema(stage, table).arrow().empty_table().to_pandas()
+    return rows
+
+
 def run_with(position: np.ndarray, model: str = "PN") -> ComparedRun:
     """A run of one walk, alone."""
     keys = {"scene": "S", "session_id": "w", "t_ns": np.arange(FRAMES), "frame_id": [f"w/{i}" for i in range(FRAMES)]}
     errors = pd.DataFrame(keys).assign(model=model, method="apr", options="", split="test", quality="A")
     errors = errors.assign(apr_position_m=position, apr_rotation_deg=np.where(np.isnan(position), np.nan, 1.0))
-    return ComparedRun("r", {}, "m", None, errors, None)
+    return ComparedRun("r", {}, "m", empty("align", "ground_truth"), errors, empty("fuse", "validation"))
 
 
 @pytest.mark.parametrize(
@@ -57,9 +63,8 @@ def test_only_what_is_beyond_noise_differs(position: np.ndarray, clear: set[str]
 
 def test_runs_without_common_frames_or_with_too_few_say_so() -> None:
     first = run_with(ERRORS)
-    assert first.errors is not None
     assert differences(first, run_with(ERRORS, model="other")) == []
-    few = ComparedRun("few", {}, "m", None, first.errors.head(12), None)
+    few = replace(first, errors=first.errors.head(12))
     assert all(np.isnan(d.low) and not d.is_clear and not d.is_worse_by(5) for d in differences(first, few))
 
 

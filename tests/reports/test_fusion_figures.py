@@ -11,32 +11,9 @@ import pytest
 from matplotlib.lines import Line2D
 
 from groundwalk.reports import style
-from groundwalk.reports.figures import confidence, costs
+from groundwalk.reports.figures import costs
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.store.choices import MapUnit
-from tests.reports.made_up_scenes import MODELS, MadeUpScene
-
-NO_CARDS = {name: pd.DataFrame({"model": []}) for name in ("cards", "localisers")}
-
-
-@pytest.fixture(scope="module")
-def scene() -> SceneInputs:
-    tables = MadeUpScene("Church", 0, train=60).tables()["fuse"]
-    made = SimpleNamespace(
-        unit=MapUnit.METRE,
-        name="Church",
-        evaluated_splits="val and test",
-        models=list(MODELS),
-        **NO_CARDS,
-        label=str,
-        best=lambda model: "mobilearloc",
-        method_labels={"apr": "", "mobilearloc": "+VIO", "smoother": "+smoother"},
-        intervals=tables["intervals"].astype({"high": float}),
-        offline={"smoother"},
-        raw_methods={"apr"},
-        unfused_sessions=set(),
-    )
-    return cast(SceneInputs, made)
 
 
 def along_x(line: Line2D) -> list[float]:
@@ -45,18 +22,6 @@ def along_x(line: Line2D) -> list[float]:
 
 def along_y(line: Line2D) -> list[float]:
     return np.asarray(line.get_ydata(), float).tolist()
-
-
-def test_intervals_stand_about_each_methods_mean(scene: SceneInputs) -> None:
-    named = confidence(scene)
-    positions = named.figure.axes[0]
-    assert [t.get_text() for t in positions.get_yticklabels()] == [f"{m}{f}" for m in MODELS for f in ("", "+VIO")]
-    span, middle = positions.lines[2:4]
-    assert along_x(span) == pytest.approx([1.2, 1.95]) and along_x(middle) == [1.5]
-    assert "all val and test frames" in named.caption and "their 2 sessions" in named.caption
-    assert "3 ways" in named.caption
-    # A bound that is infinite has no end to draw to, but its mean is there.
-    assert np.isnan(along_x(positions.lines[0])[1]) and along_x(positions.lines[1]) == [2.0]
 
 
 def test_costs_stand_where_bytes_time_and_the_median_error_say() -> None:

@@ -30,7 +30,7 @@ LATER = ("localise", "train", "fuse")
 @pytest.fixture(autouse=True)
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes most of a small report's time."""
-    parts: dict[str, list[object]] = {part: [] for part in ("drift", "training", "errors", "trajectories")}
+    parts: dict[str, list[object]] = {part: [] for part in ("drift", "training", "errors")}
     monkeypatch.setattr(stage, "scene_figures", lambda scene: parts)
 
 
@@ -184,6 +184,7 @@ def test_page_tables_terminal_summary_and_errors_agree_on_who_has_a_pose(
             assert value["median", "translation"] == pytest.approx(median)
             assert headline[name][1] == f"{median:.2f}" if median > 0.1 else f"{median:.3f}"
             assert headline[name][4] == f"{coverage:.1f}"
+            assert headline[name][5] == {"apr": "1.60 to infinite", "mobilearloc": "1.20 to 1.95"}[method]
             label = model if method == "apr" else name
             assert f"| Yard | {label} | {coverage:.1f} |" in table4
             assert f"Yard: {name}: median {headline[name][1]} m" in said and f"{coverage:.1f} % have a pose" in said
