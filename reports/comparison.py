@@ -284,4 +284,7 @@ def comparison_page(runs: list[ComparedRun], found: list[Difference], folder: Pa
                 "These runs have no frames in common: there is nothing to compare but settings."
             ),
         )
+    if len({str(run.manifests.get("import", {}).get("inputs")) for run in runs}) > 1:
+        warning = "The captures differ: frames are paired by their names, whatever they show."
+        parts.insert(0, Markup('<p class="banner">{}</p>').format(warning))
     return plain_page(" / ".join(run.name for run in runs), "comparison", parts)

@@ -97,4 +97,9 @@ def test_the_command_writes_a_page_and_fails_where_it_is_asked_to(
     assert figures["ground truth", "sigma, position (m)"][3] == "the same"
     settings = {tuple(row[:2]): row[2:] for row in rows_of(tmp_path, "settings", "c.html")}
     assert settings.items() >= {("fuse", "seed"): ["0", "7"], ("fuse", "options.window"): ["–", "30"]}.items()
-    assert "<more>" not in (tmp_path / "c.html").read_text(encoding="utf-8")
+    page = (tmp_path / "c.html").read_text(encoding="utf-8")
+    assert "<more>" not in page and "The captures differ" not in page
+    manifest = read_json(other / "import" / "manifest.json") | {"inputs": {"captures": {"sha256": "of others"}}}
+    write_json(other / "import" / "manifest.json", manifest)
+    compare()
+    assert "The captures differ" in (tmp_path / "c.html").read_text(encoding="utf-8")
