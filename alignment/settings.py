@@ -4,6 +4,7 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
+from groundwalk.alignment.control.settings import ControlSettings, controls_of
 from groundwalk.alignment.rulers.settings import Ruler, rulers_of
 from groundwalk.store.settings import Settings
 
@@ -13,6 +14,9 @@ class AlignSettings(Settings):
 
     rulers: Annotated[list[Ruler], BeforeValidator(rulers_of)] = Field(
         default_factory=list, description="boards and known distances in the images; [[ruler]] in the scene's file"
+    )
+    controls: Annotated[list[ControlSettings], BeforeValidator(controls_of)] = Field(
+        default_factory=list, description="surveyed points in the images; [[control]] in the scene's file"
     )
     max_ruler_size_error: float = Field(
         0.03,

@@ -13,10 +13,14 @@ from groundwalk.alignment.checks.depth import check_depth
 from groundwalk.alignment.checks.results import CheckResult
 from groundwalk.alignment.checks.summary import checks_table, describe
 from groundwalk.alignment.components import MAX_SCALE_SD, MAX_VERTICAL_SD, MapScale, Vertical
+from groundwalk.alignment.control.check import check_control
+from groundwalk.alignment.control.check import describe as describe_control
+from groundwalk.alignment.control.points import find_points
+from groundwalk.alignment.control.tables import control_table, draw_control, points_table
 from groundwalk.alignment.depth import agreement_table as depth_table
 from groundwalk.alignment.depth import has_depth, sample_frames
 from groundwalk.alignment.drift import ALL
-from groundwalk.alignment.ground_truth import AlignResult, build, camera_sd
+from groundwalk.alignment.ground_truth import AlignResult, build, camera_sd, poses_in_map
 from groundwalk.alignment.plot import draw_checks
 from groundwalk.alignment.recording import blueprint, camera_length_m, log_frames, log_models, log_sessions
 from groundwalk.alignment.reference.agreement import describe_agreement
@@ -35,7 +39,7 @@ from groundwalk.store import StageRun
 from groundwalk.store.choices import DriftDefinition, QualityClass, ScaleSource, UpSource, VerticalSource
 from groundwalk.store.tables import dataset_frames, with_cameras
 
-CHECKS_PLOT, RULERS_PLOT = "checks.png", "rulers.png"
+CHECKS_PLOT, RULERS_PLOT, CONTROL_PLOT = "checks.png", "rulers.png", "control.png"
 _TABLES = ("ground_truth", "sessions", "drift", "checks", "residuals", "reference_agreement")
 
 
@@ -61,6 +65,8 @@ def run(r: StageRun[AlignSettings]) -> None:
         depth, depth_checks = _check_by_depth(r, frames, images, checked)
     checked = replace(checked, checks=[*checked.checks, *depth_checks])
     r.write("depth_agreement", depth)
+    with r.step("control"):
+        checked = replace(checked, checks=[*checked.checks, *_check_by_control(r, frames, images, checked)])
     with r.step("align"):
         result = build(frames, images, checked, reference)
     for table in _TABLES:
@@ -118,6 +124,22 @@ def _check_by_depth(
     for line in lines:
         r.say(line)
     return agreement, checks
+
+
+def _check_by_control(
+    r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap
+) -> list[CheckResult]:
+    """The checks by surveyed points; their tables and picture are written."""
+    found = [find_points(control, frames, r.data.root, r.image_path) for control in r.settings.controls]
+    usable = checked.frames.has_ground_truth
+    controls = [check_control(points, frames, images, checked.placed, usable) for points in found]
+    for control in controls:
+        r.say(describe_control(control))
+    r.write("control", control_table(controls))
+    r.write("control_points", points_table(controls))
+    if controls:
+        draw_control(r.work / CONTROL_PLOT, controls, poses_in_map(images, checked.placed)[usable, :3, 3])
+    return [control.result for control in controls]
 
 
 def _write_figures(r: StageRun[AlignSettings], frames: pd.DataFrame, result: AlignResult, registered: int) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from groundwalk.alignment.checks.definitions import DEFINITIONS
+from groundwalk.alignment.control.settings import ControlSettings
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler
 from groundwalk.cli import COMMANDS, Command, all_commands
 from groundwalk.fusion.methods import METHODS
@@ -146,6 +147,8 @@ def _sections() -> Iterator[tuple[str, str, str]]:
             for kind, model in RULERS.items():
                 text = f"{_first_line(model)} In a scene's file, any number of these: [rulers](../how-to/ruler.md)."
                 yield f'[[ruler]] of kind "{kind}"', text, _table(model, {"kind"})
+            text = "In a scene's file, any number of these: [control points](../how-to/control-points.md)."
+            yield "[[control]]", text, _table(ControlSettings)
         if stage.name == "localise":
             yield _of_entries("localise.localisers", LOCALISERS, "settings")
         if stage.name == "train":

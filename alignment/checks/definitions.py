@@ -111,6 +111,13 @@ DEFINITIONS = {
         evidence="views of the whole ruler from several directions, a longer walk, by which VIO's scale is better "
         f"known, or the print's measured size ({_MEASURED_PRINT})",
     ),
+    CheckName.CONTROL_POINTS: CheckDefinition(
+        estimate="held-out control points against the map, RMS",
+        unit=CheckUnit.METRES,
+        remedy="correct the survey's files, or measure the points again (docs/how-to/control-points.md); or, where the "
+        "survey is right, capture more views of these places, and let a ruler set the scale",
+        evidence="six points or more, each seen by three frames or more from different directions",
+    ),
     CheckName.WINDOW_POSITION: CheckDefinition(
         estimate="largest distance between SfM and VIO in a window",
         unit=CheckUnit.METRES,

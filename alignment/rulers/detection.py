@@ -30,7 +30,7 @@ Grey = NDArray[np.uint8]
 BoardRuler = CharucoRuler | AprilTagRuler
 
 # OpenCV puts (0, 0) at the centre of the top-left pixel.
-_CENTRE_OF_FIRST_PIXEL = 0.5
+CENTRE_OF_FIRST_PIXEL = 0.5
 _TAG_CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
 # Where nothing is detected, so many images, evenly spread, are searched for another board or print.
 _SEARCHED = 12
@@ -145,14 +145,14 @@ def detect(ruler: BoardRuler, image: Grey) -> Detection:
         xy, ids, _, _ = cv2.aruco.CharucoDetector(_board(ruler)).detectBoard(image)
         if ids is None or not len(ids):
             return Detection(np.empty(0, dtype=np.int64), np.empty((0, 2)))
-        at = _refined(ruler, image, np.asarray(xy, dtype=np.float32).reshape(-1, 2)) + _CENTRE_OF_FIRST_PIXEL
+        at = _refined(ruler, image, np.asarray(xy, dtype=np.float32).reshape(-1, 2)) + CENTRE_OF_FIRST_PIXEL
         return Detection(ids.ravel().astype(np.int64), at)
-    tags = _markers(ruler.dictionary, image)
+    tags = markers_in(ruler.dictionary, image)
     seen = [tag for tag, _ in tags]
     # An id that is seen twice is ambiguous.
     tags = [(tag, xy) for tag, xy in tags if seen.count(tag) == 1 and (not ruler.ids or tag in ruler.ids)]
     corner = np.array([4 * tag + k for tag, _ in tags for k in range(4)], dtype=np.int64)
-    return Detection(corner, np.array([xy for _, xy in tags]).reshape(-1, 2) + _CENTRE_OF_FIRST_PIXEL)
+    return Detection(corner, np.array([xy for _, xy in tags]).reshape(-1, 2) + CENTRE_OF_FIRST_PIXEL)
 
 
 def detect_all(rulers: Sequence[BoardRuler], paths: Sequence[Path]) -> list[list[Detection]]:
@@ -179,7 +179,7 @@ def explain_absence(ruler: BoardRuler, paths: Sequence[Path]) -> str:
             if count := _count_images(ruler.model_copy(update=change), images):
                 stated = ", ".join(f"{key} = {str(value).lower()}" for key, value in change.items())
                 return f"another layout: with {stated} it is detected in {count} of {len(images)} images"
-    markers = max(len(_markers(ruler.dictionary, image)) for image in images)
+    markers = max(len(markers_in(ruler.dictionary, image)) for image in images)
     if markers >= _MIN_MARKERS and isinstance(ruler, CharucoRuler):
         return (
             f"another layout: up to {markers} markers of {ruler.dictionary} in an image, but not {ruler.squares_x} x "
@@ -187,7 +187,7 @@ def explain_absence(ruler: BoardRuler, paths: Sequence[Path]) -> str:
         )
     # Most markers in an image; of dictionaries that hold them all, the smallest.
     few = images[:: max(1, len(images) // _SEARCHED_FOR_DICTIONARY)]
-    counts = {name: max(len(_markers(name, image)) for image in few) for name in dictionaries()}
+    counts = {name: max(len(markers_in(name, image)) for image in few) for name in dictionaries()}
     best = min(counts, key=lambda name: (-counts[name], len(dictionary(name).bytesList)))
     if counts[best] >= _MIN_MARKERS:
         return f"another dictionary: up to {counts[best]} markers of {best} in an image, none of {ruler.dictionary}"
@@ -222,7 +222,7 @@ def _refined(ruler: CharucoRuler, image: Grey, xy: NDArray[np.float32]) -> Array
     return result.astype(float)
 
 
-def _markers(name: str, image: Grey) -> list[tuple[int, Array]]:
+def markers_in(name: str, image: Grey) -> list[tuple[int, Array]]:
     """Ids and corners (4, 2), in OpenCV's pixels, of a dictionary's markers in an image."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX

@@ -153,23 +153,13 @@ def measure(
     Raises GeometryError where no part has two corners that two frames see.
     """
     count = len(corners.xyz_m)
-    usable = in_two_frames(observations, count)
-    robust = np.zeros(len(usable))
-    if usable.any():
-        robust[usable] = _robust_weights(observations.where(usable), model_T_cam, count, min_pixel_sd)
-    inlier = usable & (robust >= _INLIER_WEIGHT)
-    inlier[inlier] = in_two_frames(observations.where(inlier), count)
+    usable, inlier = _inliers(observations, model_T_cam, count, min_pixel_sd)
     inlier[inlier] = _in_parts_with_two(corners, observations.corner[inlier])
     if not inlier.any():
         raise GeometryError("no part of the ruler has two corners that two frames see")
     used = observations.where(inlier)
-    xyz = triangulate(used, model_T_cam, count, np.ones(inlier.sum()))
+    xyz, weights, pixel_sd = _triangulate_inliers(used, model_T_cam, covariance, count, min_pixel_sd)
     covariance = np.nan_to_num(covariance)
-    at = _linearise(used, model_T_cam, xyz)
-    by_poses = _pose_variance(at, used, covariance)
-    pixel_sd = _pixel_sd(at.residual, used, by_poses, min_pixel_sd)
-    weights = pixel_sd**2 / (pixel_sd**2 + by_poses)
-    xyz = triangulate(used, model_T_cam, count, weights)
     at = _linearise(used, model_T_cam, xyz)
     scale, fitted, gradient = _similarity(corners, xyz, _corner_weights(at, used, count, weights))
     sd = _scale_sd(at, used, covariance, gradient, weights, pixel_sd)
@@ -190,6 +180,50 @@ def measure(
         _is_seen_from_behind(corners, fitted, model_T_cam[frames, :3, 3]),
         _flatness(corners, xyz),
     )
+
+
+def triangulate_points(
+    observations: Observations, model_T_cam: Array, covariance: Array, count: int, *, min_pixel_sd: float
+) -> tuple[Array, Array, Mask]:
+    """Points (count, 3) by the observations that fit, the covariances (count, 3, 3) of each, and which observations
+    (M,) took part; NaN for points that two frames don't see. Arguments and method are `measure`'s."""
+    _, inlier = _inliers(observations, model_T_cam, count, min_pixel_sd)
+    xyz, point_covariance = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
+    if not inlier.any():
+        return xyz, point_covariance, inlier
+    used = observations.where(inlier)
+    xyz, weights, pixel_sd = _triangulate_inliers(used, model_T_cam, covariance, count, min_pixel_sd)
+    at, transposed = _linearise(used, model_T_cam, xyz), lambda m: np.swapaxes(m, 1, 2)
+    seen = np.bincount(used.corner, minlength=count) > 0
+    inverse = np.linalg.inv(_ridged(_sums(transposed(at.by_corner) @ at.by_corner, used.corner, count, weights)[seen]))
+    # A residual is off by its pixel and by its frame's pose.
+    of_residual = at.by_pose @ np.nan_to_num(covariance)[used.frame] @ transposed(at.by_pose) + pixel_sd**2 * np.eye(2)
+    spread = _sums(transposed(at.by_corner) @ of_residual @ at.by_corner, used.corner, count, weights**2)[seen]
+    point_covariance[seen] = inverse @ spread @ inverse
+    return xyz, point_covariance, inlier
+
+
+def _inliers(observations: Observations, model_T_cam: Array, count: int, min_pixel_sd: float) -> tuple[Mask, Mask]:
+    """(M,) observations of corners that two frames see, and of these those that a robust triangulation keeps."""
+    usable = in_two_frames(observations, count)
+    robust = np.zeros(len(usable))
+    if usable.any():
+        robust[usable] = _robust_weights(observations.where(usable), model_T_cam, count, min_pixel_sd)
+    inlier = usable & (robust >= _INLIER_WEIGHT)
+    inlier[inlier] = in_two_frames(observations.where(inlier), count)
+    return usable, inlier
+
+
+def _triangulate_inliers(
+    used: Observations, model_T_cam: Array, covariance: Array, count: int, min_pixel_sd: float
+) -> tuple[Array, Array, float]:
+    """Corners (count, 3) by least squares, the weights (M,) of observations in it, and their pixels' sigma."""
+    xyz = triangulate(used, model_T_cam, count, np.ones(len(used.corner)))
+    at = _linearise(used, model_T_cam, xyz)
+    by_poses = _pose_variance(at, used, np.nan_to_num(covariance))
+    pixel_sd = _pixel_sd(at.residual, used, by_poses, min_pixel_sd)
+    weights = pixel_sd**2 / (pixel_sd**2 + by_poses)
+    return triangulate(used, model_T_cam, count, weights), weights, pixel_sd
 
 
 def _linearise(observations: Observations, model_T_cam: Array, xyz: Array) -> _Linearization:

@@ -230,6 +230,7 @@ class CheckName(StrEnum):
     REFERENCE_SCALE = "reference_scale"
     REFERENCE_VERTICAL = "reference_vertical"
     RULER_SCALE = "ruler_scale"
+    CONTROL_POINTS = "control_points"
     SESSION_FOCAL_LENGTH = "session_focal_length"
     SESSION_MOTION = "session_motion"
     SESSION_TURNS = "session_turns"
@@ -259,6 +260,7 @@ class FailureCause(StrEnum):
     VIO_INCONSISTENT = "SfM and VIO inconsistent"
     REFERENCE_INCONSISTENT = "SfM and reference inconsistent"
     RULER_INCONSISTENT = "ruler and map inconsistent"
+    CONTROL_INCONSISTENT = "control points and map inconsistent"
     DEPTH_INCONSISTENT = "depth sensor and map inconsistent"
     UNCERTAIN = "uncertain"
 

@@ -17,7 +17,7 @@ STAGES = ("import", "sfm", "align", "localise", "train", "fuse", "report")
 _SECTIONS = ("simulate", *STAGES)
 _NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}"
 # Lists of tables at the top of a scene's file that are a setting of one stage, which alone depends on them.
-_TABLES = {"ruler": ("align", "rulers")}
+_TABLES = {"ruler": ("align", "rulers"), "control": ("align", "controls")}
 
 
 class Settings(BaseModel):

@@ -237,6 +237,72 @@ TABLES = [
     ),
     TableSchema(
         "align",
+        "control",
+        "Surveys of control points that the scene's file names, one row each (docs/how-to/control-points.md). Points "
+        "are held out half by half: each one's error is by the fit of the other half.",
+        [
+            Column("control", "string", "name"),
+            Column("points", "int64", "surveyed points"),
+            Column("used", "int64", "of these, seen well enough and in agreement with the others"),
+            Column("held_out", "int64", "of these, compared by a fit of others"),
+            Column(
+                "fit",
+                "string",
+                "of the map to the survey: se3, sim3 where the map has no scale, none where there are too few points",
+                choices=ReferenceAlignment,
+            ),
+            Column("rms_m", "float64", "how far held-out points are off, RMS", "m", "survey", True),
+            Column("worst_m", "float64", "how far the worst held-out point is off", "m", "survey", True),
+            Column(
+                "expected_rms_m", "float64", "what rms_m is expected to be by all standard errors", "m", "survey", True
+            ),
+            Column("within_bounds", "float64", "share of held-out points within their 95 % bounds", "", "", True),
+            Column(
+                "scale",
+                "float64",
+                "how much longer the map is than the survey, as a fraction; where it has no scale, metres of its unit",
+                "",
+                "",
+                True,
+            ),
+            Column(
+                "scale_sd", "float64", "standard error of scale, as the images and the survey give it", "", "", True
+            ),
+            Column("tilt_deg", "float64", "angle between the survey's vertical and the map's", "deg", "", True),
+            Column("tilt_sd_deg", "float64", "standard error of tilt_deg, an axis", "deg", "", True),
+            *pose_columns("survey_map", "survey_T_map by all points that are used", nullable=True),
+            Column("map_scale", "float64", "what a length of the map is multiplied by before: 1 for se3", "", "", True),
+            Column("rotation_sd_deg", "float64", "standard error of that pose about its worst axis", "deg", "", True),
+            Column("position_sd_m", "float64", "standard error at the points' middle, worst axis", "m", "survey", True),
+            Column("status", "string", "as in checks", choices=Status),
+            Column("reason", "string", "why it failed or is undecided"),
+        ],
+        version="1.0",
+    ),
+    TableSchema(
+        "align",
+        "control_points",
+        "Control points, one row a survey and point.",
+        [
+            Column("control", "string", "name of the survey"),
+            Column("point", "string", "name of the point"),
+            Column("used", "bool", "seen well enough, and in agreement with the others"),
+            Column("frames", "int64", "frames of the map that see it"),
+            *(Column(f"survey_{axis}", "float64", "as surveyed", "m", "survey") for axis in "xyz"),
+            Column("survey_sd_m", "float64", "standard error of a surveyed coordinate", "m", "survey"),
+            *(
+                Column(f"map_{axis}", "float64", "as triangulated by the map's poses", "m", "map", True)
+                for axis in "xyz"
+            ),
+            Column("map_sd_m", "float64", "standard error of that, root of the sum over axes", "m", "map", True),
+            Column("error_m", "float64", "how far it is off by the fit of the other half", "m", "survey", True),
+            Column("expected_m", "float64", "what error_m is expected to be, RMS", "m", "survey", True),
+            Column("reason", "string", "why it isn't used; empty where it is"),
+        ],
+        version="1.0",
+    ),
+    TableSchema(
+        "align",
         "reference_agreement",
         "How the poses of SfM in the map agree with the poses that a data set states (import.reference), one row a "
         "session and SfM model; no rows for phone captures.",

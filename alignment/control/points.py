@@ -1,0 +1,164 @@
+"""Surveyed points and where images show them, by their files and by tags that are detected."""
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from groundwalk.alignment.control.settings import ControlSettings
+from groundwalk.alignment.rulers.detection import CENTRE_OF_FIRST_PIXEL, Grey, markers_in
+from groundwalk.geometry.poses import Array
+from groundwalk.store import UserError
+from groundwalk.store.images import read_grey_image
+from groundwalk.store.parallel import in_parallel
+
+_TAG_POINT = re.compile(r"(\d+)(?:\.([0-3]))?")
+
+
+@dataclass(frozen=True)
+class ControlPoints:
+    """K surveyed points: names, coordinates (K, 3) and their standard errors (K,), metres; M observations of them, by
+    row of the frames table, point, and pixel (M, 2). `remarks`: what is wrong with a point's observations, by
+    its index."""
+
+    settings: ControlSettings
+    names: list[str]
+    xyz_m: Array
+    sd_m: Array
+    row: NDArray[np.int64]
+    point: NDArray[np.int64]
+    xy_px: Array
+    remarks: dict[int, str]
+
+
+def find_points(
+    settings: ControlSettings, frames: pd.DataFrame, folder: Path, image_path: Callable[[str], Path]
+) -> ControlPoints:
+    """The points of a survey in the images of import's table `frames`; its files lie in `folder`.
+
+    Raises UserError for files that aren't such tables, a point listed twice, a pixel outside of its image, and names of
+    frames or points that there aren't.
+    """
+    survey = _read(folder / settings.points, ["point"], ["x_m", "y_m", "z_m"])
+    _refuse_repeated(survey, ["point"], folder / settings.points)
+    sd_m = survey["sd_m"].fillna(settings.sd_m) if "sd_m" in survey else pd.Series(settings.sd_m, survey.index)
+    if not (sd_m > 0).all():
+        raise UserError("a surveyed point's sd_m isn't above 0", where=folder / settings.points, found=sd_m.min())
+    names = survey["point"].tolist()
+    seen, remarks = list[tuple[int, int, float, float]](), dict[int, str]()
+    if settings.images:
+        seen += _of_file(folder / settings.images, names, frames)
+    if settings.dictionary is not None:
+        wanted = {index: (int(m[1]), m[2]) for index, name in enumerate(names) if (m := _TAG_POINT.fullmatch(name))}
+        paths = [image_path(image) for image in frames["image"]]
+        found = list(_tags(settings.dictionary, paths))
+        for index, (tag, corner) in wanted.items():
+            at = [(row, xy[tag]) for row, xy in enumerate(found) if tag in xy]
+            if twice := [row for row, xy in at if len(xy) > 1]:
+                frame_id = frames["frame_id"].iloc[twice[0]]
+                remarks[index] = (
+                    f"tag {tag} is there twice in {len(twice)} images, such as {frame_id}: give one another id"
+                )
+            seen += [(row, index, *_tag_point(xy[0], corner)) for row, xy in at if len(xy) == 1]
+    table = np.array(seen, dtype=float).reshape(-1, 4)
+    return ControlPoints(
+        settings,
+        names,
+        survey[["x_m", "y_m", "z_m"]].to_numpy(float),
+        sd_m.to_numpy(float),
+        table[:, 0].astype(np.int64),
+        table[:, 1].astype(np.int64),
+        table[:, 2:],
+        remarks,
+    )
+
+
+def _of_file(path: Path, names: list[str], frames: pd.DataFrame) -> list[tuple[int, int, float, float]]:
+    """Row of the frames table, point, and pixel of each line of a file."""
+    table = _read(path, ["frame", "point"], ["x_px", "y_px"])
+    _refuse_repeated(table, ["frame", "point"], path)
+    row_of = {frame_id: row for row, frame_id in enumerate(frames["frame_id"])}
+    for column, known, what in (
+        ("frame", list(row_of), "frame_id of import.frames"),
+        ("point", names, "surveyed point"),
+    ):
+        if unknown := sorted(set(table[column]) - set(known)):
+            raise UserError(
+                f"{len(unknown)} names in column {column} aren't any {what}",
+                where=path,
+                found=unknown[0],
+                expected=f"a {what}, such as {known[0]}",
+                do="correct the names; sampling drops images",
+            )
+    row = table["frame"].map(row_of).to_numpy(int)
+    xy, size = table[["x_px", "y_px"]].to_numpy(float), frames[["width", "height"]].to_numpy(float)[row]
+    outside = np.flatnonzero(((xy < 0) | (xy > size)).any(axis=1))
+    if len(outside):
+        line = table.iloc[outside[0]]
+        raise UserError(
+            f"point {line['point']} is outside of its image",
+            where=f"{path}, frame {line['frame']}",
+            found=f"({line['x_px']:g}, {line['y_px']:g})",
+            expected="pixels of the image as stored, (0, 0) to ({:g}, {:g})".format(*size[outside[0]]),
+            do="read the pixel off the image at its full size, as import.frames has it",
+        )
+    point = table["point"].map({name: index for index, name in enumerate(names)})
+    return list(zip(row.tolist(), point.tolist(), *xy.T.tolist(), strict=True))
+
+
+def _tags(dictionary: str, paths: list[Path]) -> Iterator[dict[int, list[Array]]]:
+    """Each image's tags: the corners (4, 2) of each one that has an id, by id."""
+
+    def tags_in(path: Path) -> dict[int, list[Array]]:
+        image: Grey = read_grey_image(path)
+        by_id: dict[int, list[Array]] = {}
+        for tag, xy in markers_in(dictionary, image):
+            by_id.setdefault(tag, []).append(xy + CENTRE_OF_FIRST_PIXEL)
+        return by_id
+
+    return in_parallel(tags_in, paths)
+
+
+def _tag_point(xy: Array, corner: str | None) -> tuple[float, float]:
+    """A corner of a tag, or the middle, which is where its diagonals cross."""
+    if corner:
+        return float(xy[int(corner), 0]), float(xy[int(corner), 1])
+    a, b = xy[2] - xy[0], xy[3] - xy[1]
+    along, _ = np.linalg.solve(np.column_stack([a, -b]), xy[1] - xy[0])
+    x, y = xy[0] + along * a
+    return float(x), float(y)
+
+
+def _read(path: Path, names: list[str], numbers: list[str]) -> pd.DataFrame:
+    """A CSV file with these columns, names as text and finite numbers."""
+    expected = f"CSV in UTF-8 with columns {', '.join([*names, *numbers])}"
+    try:
+        table = pd.read_csv(path, dtype=dict.fromkeys(names, str), skipinitialspace=True)
+    except (OSError, ValueError) as error:
+        raise UserError("a file of control points can't be read", where=path, found=error, expected=expected) from None
+    if missing := [name for name in [*names, *numbers] if name not in table]:
+        found = ", ".join(map(str, table.columns))
+        raise UserError(f"column {missing[0]} is missing", where=path, found=found, expected=expected)
+    optional = [name for name in ["sd_m"] if name in table]
+    table[numbers + optional] = table[numbers + optional].apply(pd.to_numeric, errors="coerce")
+    wrong = table.index[~np.isfinite(table[numbers]).all(axis=1) | table[names].isna().any(axis=1)]
+    if len(wrong):
+        raise UserError(
+            "a line isn't names and finite numbers", where=f"{path}, line {wrong[0] + 2}", expected=expected
+        )
+    if table.empty:
+        raise UserError("a file of control points has no lines", where=path, expected=expected)
+    return table
+
+
+def _refuse_repeated(table: pd.DataFrame, columns: list[str], path: Path) -> None:
+    repeated = table[table.duplicated(columns)]
+    if len(repeated):
+        found = " ".join(repeated.iloc[0][columns])
+        raise UserError(
+            f"{' and '.join(columns)} are listed twice", where=path, found=found, do="keep one of the lines"
+        )

@@ -1,0 +1,58 @@
+"""Settings of control points: the `[[control]]` tables of a scene's file."""
+
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+
+from groundwalk.alignment.rulers.settings import Dictionary
+from groundwalk.store import Settings, UserError
+from groundwalk.store.settings import validated
+
+
+class ControlSettings(Settings):
+    """Surveyed points, and where images show them: pixels in a file, tags that are detected, or both."""
+
+    name: str = Field("control", description="name of the survey in tables and messages")
+    points: str = Field(
+        min_length=1,
+        description="CSV file with columns point, x_m, y_m, z_m and, where they differ, sd_m; relative to the data "
+        "folder",
+    )
+    images: str = Field(
+        "", description="CSV file with columns frame, point, x_px, y_px; relative to the data folder; empty: tags alone"
+    )
+    dictionary: Dictionary | None = Field(
+        None,
+        description="OpenCV's name of a dictionary of tags: a point named 17 is the middle of tag 17, 17.0 to 17.3 are "
+        "its corners, clockwise from its top left",
+    )
+    sd_m: float = Field(0.005, gt=0, description="standard error of a surveyed coordinate, metres")
+    pixel_sd: float = Field(1.0, gt=0, description="standard error of a pixel coordinate of `images`, at least")
+    up: Literal["z", "y", "unknown"] = Field(
+        "z", description="the survey's axis that points up: z of east, north, up; unknown: of no use for the tilt"
+    )
+    max_error_m: float = Field(
+        0.05, gt=0, description="the check fails where held-out points are further off, RMS, or one of them is, metres"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "ControlSettings":
+        if not self.images and self.dictionary is None:
+            raise ValueError("nothing says where images show the points: name `images`, `dictionary` or both")
+        return self
+
+
+def controls_of(tables: Any) -> list[ControlSettings]:
+    """The `[[control]]` tables as settings; UserError says which one is wrong and how."""
+    if not isinstance(tables, list) or not all(isinstance(table, dict | ControlSettings) for table in tables):
+        raise UserError("control points are a list of tables", found=tables, expected="[[control]] ...")
+    controls = [
+        table
+        if isinstance(table, ControlSettings)
+        else validated(ControlSettings, table, f"[[control]] number {number}")
+        for number, table in enumerate(tables, start=1)
+    ]
+    names = [control.name for control in controls]
+    if repeated := [name for name in names if names.count(name) > 1]:
+        raise UserError(f"two surveys are named {repeated[0]!r}", where="[[control]]", do="give each another name")
+    return controls

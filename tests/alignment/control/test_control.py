@@ -1,0 +1,187 @@
+"""Control points from files to a check: within their bounds where all is right, and named where a survey is wrong."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from groundwalk.alignment.check_models import check_models
+from groundwalk.alignment.components import NO_SCALE, PlacedComponent
+from groundwalk.alignment.control.check import ControlCheck, check_control, describe
+from groundwalk.alignment.control.points import find_points
+from groundwalk.alignment.control.settings import controls_of
+from groundwalk.alignment.control.tables import control_table, draw_control, points_table
+from groundwalk.alignment.definition import STAGE
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.geometry.poses import Array, inverse, transform
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import camera_of, poses_of, read_table
+from tests.known import cells
+from tests.known import rows as records
+from tests.synthetic_walks import Scene, Walks
+
+SD_M = 0.003
+FEET = 1 / 0.3048
+NAMES = [f"P{number:02d}" for number in range(12)]
+# The survey's axes: east, north, up.
+ENU_R_MAP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def made(walks: Walks, seed: int, **changes: Any) -> tuple[Scene, Array]:
+    """Two walks whose poses are as uncertain as stated, and twelve points (12, 3) around them in the true map."""
+    scene = walks.make(
+        seed=seed, sessions=2, frames=25, speed_m=0.25, sfm_m=0.002, sfm_deg=0.02, phone_scale=0.003, **changes
+    )
+    scene.frames = scene.frames.assign(fy=1400.0, cx=960.0, cy=720.0, distortion=cells([[]] * len(scene.frames)))
+    rng = np.random.default_rng(seed)
+    ahead = scene.true_T_cam[rng.choice(len(scene.frames), 12, replace=False)]
+    return scene, transform(ahead, np.column_stack([rng.uniform(-0.7, 0.7, (12, 2)), rng.uniform(1.5, 3, 12)]))
+
+
+def observed(scene: Scene, xyz: Array, seed: int) -> pd.DataFrame:
+    """Pixels of the points in all frames that see them within 15 m, read off to half a pixel."""
+    rng, rows = np.random.default_rng(seed), []
+    for row, pose in enumerate(scene.true_T_cam):
+        seen = transform(inverse(pose), xyz)
+        xy = camera_of(scene.frames.iloc[row]).project(seen[:, :2] / seen[:, 2:]) + rng.normal(0, 0.5, (len(xyz), 2))
+        inside = (seen[:, 2] > 1) & (seen[:, 2] < 15) & (xy > 0).all(axis=1) & (xy < [1920, 1440]).all(axis=1)
+        rows += [(scene.frames["frame_id"].iloc[row], NAMES[k], *xy[k]) for k in np.flatnonzero(inside)]
+    return pd.DataFrame(rows, columns=["frame", "point", "x_px", "y_px"])
+
+
+def judged(
+    scene: Scene,
+    xyz: Array,
+    folder: Path,
+    change: Callable[[Array], Array] = lambda enu: enu,
+    *,
+    seed: int = 0,
+    metric: bool = True,
+) -> ControlCheck:
+    """The check of a survey of the points, with errors of 3 mm, that `change` spoils."""
+    enu = xyz @ ENU_R_MAP.T + [500000.0, 4649776.0, 120.0] + np.random.default_rng(seed + 99).normal(0, SD_M, xyz.shape)
+    survey = pd.DataFrame(change(enu), columns=["x_m", "y_m", "z_m"]).assign(point=NAMES)
+    survey.to_csv(folder / "survey.csv", index=False)
+    observed(scene, xyz, seed).to_csv(folder / "seen.csv", index=False)
+    table = {"points": "survey.csv", "images": "seen.csv", "sd_m": SD_M, "pixel_sd": 0.5}
+    (settings,) = controls_of([table])
+    checked = check_models(scene.inputs(), AlignSettings())
+    points = find_points(settings, scene.frames, folder, Path)
+    placed = checked.placed
+    if not metric:
+        component = replace(placed[0].component, scale=NO_SCALE)
+        placed = [PlacedComponent(component, component.metric_S_sfm)]
+    return check_control(points, scene.frames, scene.images, placed, checked.frames.has_ground_truth)
+
+
+@pytest.fixture(scope="module")
+def place(walks: Walks) -> tuple[Scene, Array]:
+    return made(walks, 1)
+
+
+@pytest.mark.parametrize("metric", [True, False])
+def test_points_that_agree_pass(metric: bool, place: tuple[Scene, Array], tmp_path: Path) -> None:
+    check = judged(*place, tmp_path, metric=metric)
+    (row,) = records(control_table([check]))
+    assert row.status == "passed" and row.used == row.held_out == 12 and row.rms_m < 0.015
+    assert row.fit == ("se3" if metric else "sim3")
+    assert abs(row.map_scale - (1 if metric else np.exp(-np.log(0.37)))) < 0.01
+    assert row.tilt_deg < 0.2 and "tilt" in describe(check)
+    table = points_table([check])
+    assert table["point"].tolist() == NAMES and table["reason"].eq("").all()
+    draw_control(tmp_path / "control.png", [check], place[0].true_T_cam[:, :3, 3])
+    assert (tmp_path / "control.png").stat().st_size > 10_000
+
+
+def one_wrong(enu: Array) -> Array:
+    enu[4, 1] += 1.0
+    return enu
+
+
+def exchanged(enu: Array) -> Array:
+    enu[[3, 7]] = enu[[7, 3]]
+    return enu
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda enu: enu[:, [1, 0, 2]], "mirrored"),
+        (lambda enu: FEET * enu, "they are in feet, metres are expected"),
+        (exchanged, "P03 and P07 are exchanged"),
+        (one_wrong, r"P04 is (0\.99|1\.0)\d* m from where the images have it"),
+    ],
+    ids=["mirrored", "feet", "exchanged", "metre"],
+)
+def test_a_wrong_survey_is_named(change: Callable[[Array], Array], reason: str, walks: Walks, tmp_path: Path) -> None:
+    check = judged(*made(walks, 1), tmp_path, change)
+    assert check.result.status == "failed" and re.search(reason, check.result.reason)
+
+
+def test_a_tag_that_is_there_twice_is_named(place: tuple[Scene, Array], tmp_path: Path) -> None:
+    """Tags 1 to 4 in every image, tag 2 twice: it isn't used, and the reason says why."""
+    scene, dictionary = place[0], cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    image = np.full((480, 640), 255, np.uint8)
+    for tag, left in zip((1, 2, 3, 4, 2), range(20, 600, 120), strict=True):
+        image[100:180, left : left + 80] = cv2.aruco.generateImageMarker(dictionary, tag, 80)
+    cv2.imwrite(str(tmp_path / "tags.png"), image)
+    (tmp_path / "survey.csv").write_text("point,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n3.1,0,1,0\n")
+    (settings,) = controls_of([{"points": "survey.csv", "dictionary": "DICT_APRILTAG_36h11"}])
+    frames = scene.frames.iloc[:2].assign(image="tags.png")
+    points = find_points(settings, frames, tmp_path, lambda image: tmp_path / image)
+    assert points.remarks.keys() == {1} and "tag 2 is there twice in 2 images" in points.remarks[1]
+    assert points.point.tolist() == [0, 0, 2, 2]
+    middle, corner = points.xy_px[0], points.xy_px[2]
+    assert np.allclose(middle, [60, 140], atol=0.6) and np.allclose(corner, [340, 100], atol=0.6)
+
+
+@pytest.mark.parametrize(
+    ("survey", "seen", "what"),
+    [
+        ("point,x,y,z\na,0,0,0\n", "", "column x_m is missing"),
+        ("point,x_m,y_m,z_m\na,0,0,zero\n", "", "a line isn't names and finite numbers"),
+        ("point,x_m,y_m,z_m\na,0,0,0\na,1,0,0\n", "", "point are listed twice"),
+        ("point,x_m,y_m,z_m\na,0,0,0\n", "walk0/000000,b,5,5\n", "aren't any surveyed point"),
+        ("point,x_m,y_m,z_m\na,0,0,0\n", "walk9/000000,a,5,5\n", "aren't any frame_id"),
+        ("point,x_m,y_m,z_m\na,0,0,0\n", "walk0/000000,a,5,5000\n", "outside of its image"),
+    ],
+)
+def test_files_that_are_wrong_are_refused(
+    survey: str, seen: str, what: str, place: tuple[Scene, Array], tmp_path: Path
+) -> None:
+    (tmp_path / "survey.csv").write_text(survey)
+    (tmp_path / "seen.csv").write_text("frame,point,x_px,y_px\n" + (seen or "walk0/000000,a,5,5\n"))
+    (settings,) = controls_of([{"points": "survey.csv", "images": "seen.csv"}])
+    with pytest.raises(UserError, match=what):
+        find_points(settings, place[0].frames, tmp_path, Path)
+
+
+def test_align_writes_tables_and_picture(data: DataRoot) -> None:
+    """A scene's file names a survey of what all frames of a walk see; align says where it lies, with a check."""
+    truth = read_table(data.captures("Place") / "true_poses.parquet", schema("simulate", "true_poses"))
+    poses = poses_of(truth, "map_cam")
+    xyz = transform(poses[[3, 5, 9, 12, 25, 30, 33]], np.array([0.5, -0.4, 4.0]))
+    frames = read_table(data.run("tiny", "Place", "import") / "frames.parquet", schema("import", "frames"))
+    seen = observed(Scene(frames, frames, frames, poses, xyz), xyz, 0)
+    folder = data.root / "control"
+    folder.mkdir()
+    pd.DataFrame(xyz, columns=["x_m", "y_m", "z_m"]).assign(point=NAMES[:7]).to_csv(folder / "survey.csv")
+    seen.to_csv(folder / "seen.csv", index=False)
+    (data.root / "scenes").mkdir()
+    named = 'points = "control/survey.csv"\nimages = "control/seen.csv"\nup = "y"\nmax_error_m = 0.3\n'
+    (data.root / "scenes" / "Place.toml").write_text(f"[[control]]\n{named}")
+    execute(STAGE, "Place", "tiny", data)
+    align = data.run("tiny", "Place", "align")
+    (survey,) = records(read_table(align / "control.parquet", schema("align", "control")))
+    points = read_table(align / "control_points.parquet", schema("align", "control_points"))
+    checks = read_table(align / "checks.parquet", schema("align", "checks"))
+    assert survey.fit == "se3" and survey.used >= 6 and survey.rms_m < 0.1 and survey.tilt_deg < 1
+    assert points["point"].tolist() == NAMES[:7] and "control_points" in checks["check"].tolist()
+    assert (align / "control.png").is_file()
