@@ -1,6 +1,7 @@
 """`python -m groundwalk.export`: ground truth as other tools read it, or a regressor as a phone runs it."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -62,6 +63,10 @@ def export(
     model: Annotated[
         str, typer.Option(help="With format phone: the regressor's id, as in the table train.models.")
     ] = "",
+    licence: Annotated[
+        str, typer.Option(help="The data set's licence, such as cc-by-4.0; format huggingface needs one.")
+    ] = "",
+    citation: Annotated[str, typer.Option(help="How to cite the data set, for its card.")] = "",
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier export in that folder.")] = False,
     profile: ProfileOption = "demo",
     data: DataOption = Path("data"),
@@ -86,7 +91,8 @@ def export(
             return
         reads_images = images is not ImagesOption.none
         dataset = load_dataset(root, profile, scene, reads_images=reads_images)
-        about = {"scene": scene, "profile": profile, "format": name}
+        dataset = replace(dataset, licence=licence, citation=citation)
+        about = {"scene": scene, "profile": profile, "format": name, "licence": licence, "citation": citation}
 
         def refuse_any_changed() -> None:
             refuse_changed()

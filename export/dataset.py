@@ -1,7 +1,7 @@
 """The exported data: the frames that have ground truth, with their images, and SfM's model brought into the map."""
 
 import shutil
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -35,6 +35,10 @@ Images = Literal["link", "copy", "none"]
 JPEG_QUALITY = 95
 # An estimated lens that moves no pixel further is none.
 _MAX_SHIFT_PX = 0.1
+_OF_GROUND_TRUTH = [
+    *("frame_id", "quality", "reason", "component", "scale_source", "vertical_source"),
+    *("covariance", "position_sd_m", "rotation_sd_deg"),
+]
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,8 @@ class Dataset:
     """`frames` (N rows) have ground truth, `excluded` have none; both are import.frames with align's quality, reason
     and component, and the cameras that the poses go with. `images` are the N images, `map_T_cam` (N, 4, 4) their poses,
     `models` SfM's, largest first. `origin` is where the map's origin is in the coordinates that its reference poses
-    were stated in; None where no reference gave the map, (0, 0, 0) where these are the map's."""
+    were stated in; None where no reference gave the map, (0, 0, 0) where these are the map's. `sessions` is import's
+    table, `split_by` what decided its splits; `licence` and `citation` are what the user gives it out with."""
 
     frames: pd.DataFrame
     excluded: pd.DataFrame
@@ -106,6 +111,11 @@ class Dataset:
     models: list[SfmModel]
     simulated: bool
     origin: tuple[float, float, float] | None = None
+    scene: str = ""
+    sessions: pd.DataFrame = field(default_factory=pd.DataFrame)
+    split_by: str = ""
+    licence: str = ""
+    citation: str = ""
 
     @property
     def world(self) -> str:
@@ -201,7 +211,7 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
     ground_truth = read_table(folders["align"] / "ground_truth.parquet", schema("align", "ground_truth"))
     images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
     frames = dataset_frames(read_table(folders["import"] / "frames.parquet", schema("import", "frames"))).merge(
-        ground_truth[["frame_id", "quality", "reason", "component", "scale_source", "vertical_source"]],
+        ground_truth[_OF_GROUND_TRUTH],
         on="frame_id",
         validate="one_to_one",
     )
@@ -234,6 +244,9 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
         ],
         bool(manifests["align"]["simulated"]),
         _origin(manifests["align"]["figures"]),
+        scene,
+        read_table(folders["import"] / "sessions.parquet", schema("import", "sessions")),
+        str(manifests["import"].get("figures", {}).get("split", "")),
     )
 
 

@@ -5,6 +5,7 @@ from functools import partial
 from groundwalk.export.cambridge import write_cambridge
 from groundwalk.export.colmap import write_colmap
 from groundwalk.export.exporters import Exporter, ModelExporter
+from groundwalk.export.huggingface import write_huggingface
 from groundwalk.export.nerfstudio import DISTORTION, write_nerfstudio
 from groundwalk.export.seven_scenes import write_seven_scenes
 from groundwalk.export.tum import write_tum
@@ -52,6 +53,13 @@ CAMBRIDGE = Exporter(
     meaning="dataset_train.txt and dataset_test.txt beside the images",
     write=write_cambridge,
     distortion_coefficients=0,
+)
+HUGGINGFACE = Exporter(
+    id="huggingface",
+    label="Hugging Face",
+    meaning="Parquet with images, a dataset card and Croissant metadata",
+    write=write_huggingface,
+    distortion_coefficients=None,
 )
 PHONE = ModelExporter(
     id="phone",

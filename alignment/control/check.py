@@ -96,12 +96,13 @@ def check_control(
     a rigid fit, or by a similarity where the map has no scale."""
     mapped, main = _mapped(points, frames, images, placed, usable), placed[0].component
     limit, rigid, scale_sd = points.settings.max_error_m, main.scale.is_known, float(np.nan_to_num(main.scale.sd))
-    usable_points = np.isfinite(mapped.xyz).all(axis=1)
+    usable_points: Mask = np.isfinite(mapped.xyz).all(axis=1)
     # What the map knows no better than the limit judges nothing; without a scale, by that of all points.
     if rigid or usable_points.sum() >= _MIN_AGREEING:
         similar = None if rigid else _agreeing(points, points.xyz_m, mapped, usable_points)[0]
         unit = similar.scale if similar is not None else 1.0
-        usable_points &= unit**2 * np.trace(mapped.covariance, axis1=1, axis2=2) <= limit**2
+        certain = unit**2 * np.trace(mapped.covariance, axis1=1, axis2=2) <= limit**2
+        usable_points = np.asarray(usable_points & certain)
     seen = int(usable_points.sum())
     subject = Subject(len(np.unique(points.row)), component=main.index)
     unknown = (float("nan"), float("nan"))
@@ -143,10 +144,10 @@ def check_control(
         return replace(check, result=_result(points, subject, status, _listed(points, wrong) or why))
     errors, expected = check.error_m[used], check.expected_m[used]
     rms = float(np.sqrt(np.mean(errors**2)))
-    estimate = Quantity(rms, float(np.sqrt(np.mean(expected**2) / (2 * len(errors)))))
-    status = Status.FAILED if wrong else decide(*estimate, limit)
+    sd = float(np.sqrt(np.mean(expected**2) / (2 * len(errors))))
+    status = Status.FAILED if wrong else decide(rms, sd, limit)
     reason = f"held-out points are {1000 * rms:.1f} mm off (RMS), limit {1000 * limit:g} mm; {describe_figures(check)}"
-    return replace(check, result=_result(points, subject, status, _listed(points, wrong) or reason, estimate))
+    return replace(check, result=_result(points, subject, status, _listed(points, wrong) or reason, Quantity(rms, sd)))
 
 
 def describe(check: ControlCheck) -> str:
@@ -185,11 +186,10 @@ def _mapped(
         rows = each.component.registered_rows
         covariance[rows], unit[rows] = covariance_in_map(in_sfm[rows], each.map_S_sfm), each.map_S_sfm.scale
     map_T_cam = poses_in_map(images, placed)
-    observations = observations_of(frames, images, points.row, points.point, points.xy_px)
-    cam_T_row = observations.cam_T_row.copy()
+    observations, cam_T_row = observations_of(frames, images, points.row, points.point, points.xy_px)
     cam_T_row[:, :3, 3] *= unit[points.row, None]
     seen = usable[points.row] & np.isfinite(map_T_cam[points.row, 0, 0]) & np.isfinite(observations.xy).all(axis=1)
-    used, count = replace(observations, cam_T_row=cam_T_row).where(seen), len(points.names)
+    used, count = observations.where(seen), len(points.names)
     min_sd = points.settings.pixel_sd if points.settings.images else _DETECTION_SD_PX
     xyz, of_point, inlier = triangulate_points(used, map_T_cam, covariance, count, min_pixel_sd=min_sd)
     seen_by, kept = (np.bincount(corner, minlength=count) for corner in (used.corner, used.corner[inlier]))

@@ -69,7 +69,7 @@ def find_points(
         settings,
         names,
         survey[["x_m", "y_m", "z_m"]].to_numpy(float),
-        sd_m.to_numpy(float),
+        np.asarray(sd_m, dtype=float),
         table[:, 0].astype(np.int64),
         table[:, 1].astype(np.int64),
         table[:, 2:],
@@ -145,11 +145,10 @@ def _read(path: Path, names: list[str], numbers: list[str]) -> pd.DataFrame:
         raise UserError(f"column {missing[0]} is missing", where=path, found=found, expected=expected)
     optional = [name for name in ["sd_m"] if name in table]
     table[numbers + optional] = table[numbers + optional].apply(pd.to_numeric, errors="coerce")
-    wrong = table.index[~np.isfinite(table[numbers]).all(axis=1) | table[names].isna().any(axis=1)]
-    if len(wrong):
-        raise UserError(
-            "a line isn't names and finite numbers", where=f"{path}, line {wrong[0] + 2}", expected=expected
-        )
+    is_whole = np.isfinite(table[numbers].to_numpy(float)).all(axis=1) & table[names].notna().to_numpy().all(axis=1)
+    if not is_whole.all():
+        line = int(np.argmin(is_whole)) + 2
+        raise UserError("a line isn't names and finite numbers", where=f"{path}, line {line}", expected=expected)
     if table.empty:
         raise UserError("a file of control points has no lines", where=path, expected=expected)
     return table

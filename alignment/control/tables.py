@@ -55,7 +55,7 @@ def _row(check: ControlCheck) -> dict[str, object]:
         "held_out": len(errors),
         "fit": "none" if fit is None else "se3" if survey_S_map is not None and survey_S_map.scale == 1.0 else "sim3",
         **figures,
-        **pose_frame("survey_map", pose[None]).iloc[0].to_dict(),
+        **{str(name): values[0] for name, values in pose_frame("survey_map", pose[None]).items()},
         "status": check.result.status,
         "reason": check.result.reason,
     }

@@ -95,10 +95,10 @@ def measure_rulers(
             unseen = np.zeros(len(ruler.row), dtype=bool)
             measurements.append(RulerMeasurement(ruler, "", unseen, np.empty((0, 4, 4)), problem=problem))
             continue
-        observations = observations_of(frames, images, ruler.row, ruler.corner, ruler.xy_px)
+        observations, cam_T_row = observations_of(frames, images, ruler.row, ruler.corner, ruler.xy_px)
         for model in models:
             in_model = registered[ruler.row] & (model_id[ruler.row] == model) & np.isfinite(observations.xy).all(axis=1)
-            measurement = RulerMeasurement(ruler, str(model), in_model, observations.cam_T_row)
+            measurement = RulerMeasurement(ruler, str(model), in_model, cam_T_row)
             fits = _fit_parts(measurement, observations, poses, covariance)
             measurements.append(_judged(replace(measurement, fits=fits), frames))
     return measurements
@@ -106,15 +106,17 @@ def measure_rulers(
 
 def observations_of(
     frames: pd.DataFrame, images: pd.DataFrame, row: Indices, corner: Indices, xy_px: Array
-) -> Observations:
-    """Pixels (M, 2) of corners (M,) in these rows (M,) of the frames table without lens and rolling shutter."""
+) -> tuple[Observations, Array]:
+    """Pixels (M, 2) of corners (M,) in these rows (M,) of the frames table without lens and rolling shutter, and where
+    (M, 4, 4) the camera was when each one's row was exposed, in the axes of its frame's pose."""
     xy, focal_px = undistorted(frames, row, xy_px)
     line = readout_lines(frames["first_row"], frames["width"], frames["height"])[row]
     tau = images["readout_s"].to_numpy(float)[row] * readout_fraction(line, xy_px)
     angular, velocity = (
         images[[f"{name}_{axis}" for axis in "xyz"]].to_numpy(float)[row] for name in ("angular", "velocity")
     )
-    return Observations(corner, row, xy, focal_px, rows_in_camera(angular, velocity, tau))
+    cam_T_row = rows_in_camera(angular, velocity, tau)
+    return Observations(corner, row, xy, focal_px, cam_T_row), cam_T_row
 
 
 def undistorted(frames: pd.DataFrame, rows: Indices, xy_px: Array) -> tuple[Array, Array]:

@@ -72,6 +72,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "nerfstudio": "groundwalk.export.entries:NERFSTUDIO",
         "7scenes": "groundwalk.export.entries:SEVEN_SCENES",
         "cambridge": "groundwalk.export.entries:CAMBRIDGE",
+        "huggingface": "groundwalk.export.entries:HUGGINGFACE",
     },
     "groundwalk.model_exporters": {
         "phone": "groundwalk.export.entries:PHONE",

@@ -22,7 +22,7 @@ from groundwalk.export.__main__ import app
 from groundwalk.export.exporters import EXPORTERS
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.fits import Sim3
-from groundwalk.geometry.poses import Array, inverse, make_pose, transform
+from groundwalk.geometry.poses import Array, inverse, make_pose, pose_from_tq, transform
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.cleaning import clean_scene
 from groundwalk.store.files import sha256_of, write_json
@@ -120,6 +120,7 @@ def _export_output(scene: DataRoot, name: str, *options: str) -> str:
     """What the command prints."""
     out = scene.root.parent / "out" / name
     arguments = ["--scene", "Place", "--profile", "tiny", "--data", str(scene.root), "--format", name]
+    arguments += ["--licence", "cc-by-4.0"]
     done = CliRunner().invoke(app, [*arguments, "--out", str(out), *options], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return " ".join(done.output.split())
@@ -574,3 +575,36 @@ def test_ids_of_a_stranger_s_run_write_nothing_outside(scene: DataRoot, tmp_path
     with pytest.raises(UserError, match=r"frame_id of table .* leads out of its folder"):
         _export(scene, "tum")
     assert sorted(tmp_path.parent.rglob("*")) == before
+
+
+def test_huggingface_loads(scene: DataRoot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`load_dataset` reads splits, poses and images; mlcroissant finds no fault; the card says what there is."""
+    how = "not installed: make install, or pip install -c constraints.txt datasets mlcroissant"
+    datasets = pytest.importorskip("datasets", reason=how)
+    mlcroissant = pytest.importorskip("mlcroissant", reason=how)
+    out = _export(scene, "huggingface", "--citation", "A walk, 2026")
+    truth, found = _truth(scene), dict[str, Array]()
+    loaded = datasets.load_dataset(str(out), cache_dir=str(tmp_path / "cache"))
+    assert {split: len(rows) for split, rows in loaded.items()} == {"train": 11, "validation": 3, "test": 25}
+    for row in (row for split in loaded.values() for row in split):
+        found[row["frame_id"]] = pose_from_tq(np.array(row["position"]), np.array(row["quaternion"]))
+        expected = truth.loc[row["frame_id"]]
+        np.testing.assert_allclose(row["covariance"], expected["covariance"])
+        assert row["image"].size == (16, 12) and row["quality"] == expected["quality"]
+    _assert_same(scene, found)
+    croissant = mlcroissant.Dataset(jsonld=str(out / "croissant.json"))
+    assert not croissant.metadata.issues.errors and not croissant.metadata.issues.warnings, (
+        croissant.metadata.issues.report()
+    )
+    record = next(iter(croissant.records("validation")))
+    assert record["validation/frame_id"].decode() == f"walk0/{VALIDATION[0]:06d}"
+    card = (out / "README.md").read_text(encoding="utf-8")
+    for said in ("license: cc-by-4.0", "SIMULATED", "1 of 40 frames got no ground truth", "Cite as: A walk, 2026"):
+        assert said in card
+
+
+def test_huggingface_without_a_licence_is_refused(scene: DataRoot, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="licence") as refused:
+        _export(scene, "huggingface", "--licence", "")
+    assert "--licence cc-by-4.0" in str(refused.value.details["do"])
+    assert not (scene.root.parent / "out").exists() or not list((scene.root.parent / "out").iterdir())

@@ -1,0 +1,106 @@
+"""Hugging Face: a Parquet file a split with the images inside, a dataset card `README.md`, and Croissant metadata.
+
+Formats: https://huggingface.co/docs/datasets/image_dataset#parquet, https://huggingface.co/docs/hub/datasets-cards,
+https://docs.mlcommons.org/croissant/docs/croissant-spec-1.0.html with its extension for responsible AI. Images are as
+the phone took them, or as import blurred them; lens, covariance and quality class are columns.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from groundwalk.export.dataset import Dataset, Images
+from groundwalk.export.dataset_card import card, croissant
+from groundwalk.geometry.poses import tq_from_pose
+from groundwalk.store import UserError
+from groundwalk.store.files import write_json
+
+SPLITS = {"train": "train", "val": "validation", "test": "test"}
+COLUMNS = {
+    "frame_id": "session and number of the frame",
+    "session_id": "capture session",
+    "t_ns": "capture time on the session's clock, nanoseconds",
+    "width": "image width, pixels",
+    "height": "image height, pixels",
+    "fx": "focal length, x, pixels",
+    "fy": "focal length, y, pixels",
+    "cx": "principal point, x, pixels; the first pixel's outer corner is 0",
+    "cy": "principal point, y, pixels; the first pixel's outer corner is 0",
+    "distortion": "OpenCV's k1, k2, p1, p2, k3, ...",
+    "position": "camera centre x, y, z in the map (map_T_cam; camera axes x right, y down, z ahead)",
+    "quaternion": "rotation of map_T_cam, x, y, z, w",
+    "covariance": "6x6, row-major, of (rotation, position) in the map: rad, and the map's unit; empty where unknown",
+    "position_sd_m": "standard error of the position in its least certain axis, without scale and vertical",
+    "rotation_sd_deg": "standard error of the rotation about its least certain axis, without vertical, degrees",
+    "quality": "quality class A, B or C of the pose",
+    "reason": "why quality isn't A",
+}
+# Rows that are in memory at a time, with their images.
+_ROWS = 64
+
+
+def write_huggingface(dataset: Dataset, folder: Path, images: Images) -> list[str]:
+    """Write the layout; returns the Parquet file of each frame's image."""
+    if not dataset.licence:
+        raise UserError(
+            "a data set without a licence can't be used by anyone",
+            where="--licence",
+            expected="an identifier of https://huggingface.co/docs/hub/repositories-licenses, such as cc-by-4.0",
+            do="add --licence cc-by-4.0, or the one that you have the right to give",
+        )
+    (folder / "data").mkdir()
+    position, quaternion = tq_from_pose(dataset.map_T_cam)
+    table = dataset.frames.assign(position=list(position), quaternion=list(quaternion))
+    table["covariance"] = [[] if c is None else list(c) for c in table["covariance"]]
+    columns = pa.Table.from_pandas(table[list(COLUMNS)], preserve_index=False)
+    if images != "none":
+        image = pa.field("image", pa.struct([("bytes", pa.binary()), ("path", pa.string())]))
+        fields = pa.schema([*columns.schema.remove_metadata(), image])
+    else:
+        fields = columns.schema.remove_metadata()
+    features = {"info": {"features": {field.name: _feature(field) for field in fields}}}
+    fields = fields.with_metadata({"huggingface": json.dumps(features)})
+    placed, files = [""] * len(table), dict[str, int]()
+    for split, name in SPLITS.items():
+        rows = np.flatnonzero(table["split"] == split)
+        if not len(rows):
+            continue
+        path = f"data/{name}-00000-of-00001.parquet"
+        files[path] = len(rows)
+        with pq.ParquetWriter(folder / path, fields) as writer:
+            for part in np.array_split(rows, -(-len(rows) // _ROWS)):
+                writer.write_table(_part(dataset, columns, part, fields))
+        if images != "none":
+            placed = [path if row in set(rows.tolist()) else at for row, at in enumerate(placed)]
+    described = COLUMNS | ({"image": "the image as captured, or as blurred"} if images != "none" else {})
+    (folder / "README.md").write_text(card(dataset, files, described), encoding="utf-8")
+    write_json(folder / "croissant.json", croissant(dataset, folder, files, described))
+    return placed
+
+
+def _part(dataset: Dataset, columns: pa.Table, rows: np.ndarray, fields: pa.Schema) -> pa.Table:
+    """Rows of the table, with their images' files where the schema has them."""
+    part = columns.take(pa.array(rows))
+    if "image" in fields.names:
+        sources = [dataset.images[row] for row in rows]
+        if missing := [source.file for source in sources if not source.file.is_file()]:
+            raise UserError("an image is missing", where=missing[0], do="import the scene again")
+        ids = dataset.frames["frame_id"].iloc[rows]
+        names = [f"{frame_id}{source.suffix}" for frame_id, source in zip(ids, sources, strict=True)]
+        encoded = [{"bytes": s.file.read_bytes(), "path": name} for s, name in zip(sources, names, strict=True)]
+        part = part.append_column(fields.field("image"), pa.array(encoded, fields.field("image").type))
+    return part.cast(fields)
+
+
+def _feature(field: pa.Field) -> dict[str, Any]:
+    """A column's type as the library `datasets` names it."""
+    if pa.types.is_struct(field.type):
+        return {"_type": "Image"}
+    if pa.types.is_list(field.type):
+        return {"feature": _feature(field.type.value_field), "_type": "List"}
+    names = {"double": "float64", "large_string": "large_string"}
+    return {"dtype": names.get(str(field.type), str(field.type)), "_type": "Value"}
