@@ -96,7 +96,7 @@ def check_control(
     a rigid fit, or by a similarity where the map has no scale."""
     mapped, main = _mapped(points, frames, images, placed, usable), placed[0].component
     limit, rigid, scale_sd = points.settings.max_error_m, main.scale.is_known, float(np.nan_to_num(main.scale.sd))
-    usable_points: Mask = np.isfinite(mapped.xyz).all(axis=1)
+    usable_points: Mask = np.asarray(np.isfinite(mapped.xyz).all(axis=1))
     # What the map knows no better than the limit judges nothing; without a scale, by that of all points.
     if rigid or usable_points.sum() >= _MIN_AGREEING:
         similar = None if rigid else _agreeing(points, points.xyz_m, mapped, usable_points)[0]
