@@ -54,7 +54,7 @@ def _table(runs: list[RunFiles]) -> Grid:
 
 def _cells(run: RunFiles) -> list[str]:
     verdict = run.verdict
-    headline, metric = verdict.get("headline", {}), verdict.get("length_unit") == "m"
+    headline, metric = verdict.get("headline") or {}, verdict.get("length_unit") == "m"
 
     def number(name: str, factor: float) -> str:
         value = headline.get(name)
@@ -82,7 +82,7 @@ def _state(run: RunFiles) -> str:
 
 
 def _best(verdict: dict[str, Any]) -> str:
-    known = [row for row in verdict.get("localisers", ()) if row["median_position"] is not None]
+    known = [row for row in verdict.get("localisers") or () if row["median_position"] is not None]
     if not known:
         return EMPTY
     best = min(known, key=lambda row: row["median_position"])

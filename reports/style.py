@@ -25,7 +25,6 @@ def _hex(rgb: tuple[int, int, int]) -> str:
     return "#{:02x}{:02x}{:02x}".format(*rgb)
 
 
-GROUND_TRUTH = _hex(colours.GROUND_TRUTH)
 VIO = _hex(colours.VIO)
 NEUTRAL = _hex(colours.NEUTRAL)
 
