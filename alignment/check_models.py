@@ -58,6 +58,7 @@ class AlignInputs:
 
 def check_models(inputs: AlignInputs, settings: AlignSettings) -> CheckedMap:
     """Check SfM's models against VIO, or a reference where no frame has VIO, and put those that pass into one map.
+    Where there is neither, the largest model is the map, in SfM's unit.
 
     Raises UserError where there is nothing to compare; `refusal` says whether there is ground truth at all.
     """
@@ -135,7 +136,8 @@ def _component(
     rulers = [ruler for ruler in inputs.rulers if ruler.model_id == model_id]
     scale = scale_by_rulers(vio_scale, rulers, settings.max_ruler_size_error) or vio_scale
     if index and not scale.is_known:
-        reason = "its SfM model has no metric scale: VIO hardly moves in it"
+        why = "VIO hardly moves in it" if any(s.has_vio.any() for s in segments) else "it has no VIO"
+        reason = f"its SfM model has no metric scale: {why}"
         return missing_scale(index, rows, FailureCause.DISCONNECTED_SESSION, reason)
     max_tilt = float(np.radians(settings.max_session_tilt_deg))
     return Component(

@@ -45,6 +45,9 @@ class SfmTables:
         session = frames.set_index("frame_id")["session_id"]
         ends = {f"session_{end}": pairs[f"frame_id_{end}"].map(session) for end in "ab"}
         ordered = images.set_index("frame_id").loc[frames["frame_id"]].reset_index()
+        # A focal length that no camera logs can't be wrong.
+        unstated = set(frames.loc[frames["focal_sd"] > 0, "session_id"])
+        intrinsics = intrinsics[~intrinsics["session_id"].isin(unstated)]
         return SfmTables(ordered, intrinsics, pairs.assign(**ends))
 
     @property

@@ -182,11 +182,11 @@ def _summary(result: AlignResult, checks: Sequence[CheckResult], registered: int
     counts = {name: int((quality == name).sum()) for name in QualityClass}
     with_pose = len(quality) - counts.pop(QualityClass.NONE)
     classes = ", ".join(f"{name} {count}" for name, count in counts.items())
-    scale = result.main.component.scale
+    scale, has_vio = result.main.component.scale, any(fit.segment.has_vio.any() for fit in result.fits)
     return [
         f"{registered} of {len(quality)} frames registered, {with_pose} with ground truth ({classes})",
         *(f"  {line}" for line in result.class_counts),
-        f"map: {_describe_scale(scale)}, vertical {_describe_vertical(result.main.component.vertical)}",
+        f"map: {_describe_scale(scale, has_vio)}, vertical {_describe_vertical(result.main.component.vertical)}",
         *describe_agreement(result.reference_agreement, result.ground_truth),
         *(
             f"model {placed.component.index}, {placed.component.frames} frames: in the map by VIO alone, over "
@@ -199,12 +199,14 @@ def _summary(result: AlignResult, checks: Sequence[CheckResult], registered: int
     ]
 
 
-def _describe_scale(scale: MapScale) -> str:
+def _describe_scale(scale: MapScale, has_vio: bool) -> str:
     if scale.reference is ScaleSource.REFERENCE_UNIT_UNKNOWN:
         per_unit = f"{np.exp(scale.log):.6g} of it per SfM unit"
         return f"NO METRIC SCALE: all lengths are in the reference's unknown unit, {per_unit}"
     if not scale.is_known:
-        return "NO METRIC SCALE: VIO hardly moves, all lengths are in SfM's unit; add a longer walk or a ruler"
+        why = "VIO hardly moves" if has_vio else "there is no VIO"
+        add = "a longer walk or a ruler" if has_vio else "a ruler, or a recording with VIO of the same place"
+        return f"NO METRIC SCALE: {why}, all lengths are in SfM's unit; add {add}"
     by = scale.by if scale.rulers or scale.reference else f"{len(scale.recordings)} VIO recordings"
     if scale.reference:
         by += " (± of the fit to it; its own error is unknown)"

@@ -67,7 +67,8 @@ class Intrinsics:
     """A pinhole camera in pixels, with (0, 0) the outer corner of the first pixel as in COLMAP.
 
     `width` and `height` are the size that the capture states for them; None where it states none. `distortion` holds
-    OpenCV's coefficients k1, k2, p1, p2, k3, ...; empty for an image that is already a pinhole image.
+    OpenCV's coefficients k1, k2, p1, p2, k3, ...; empty for an image that is already a pinhole image. `focal_sd` is the
+    focal length's standard error as a fraction, where it isn't the camera's own: of EXIF's, or a guess.
     """
 
     fx: float
@@ -77,6 +78,7 @@ class Intrinsics:
     width: int | None = None
     height: int | None = None
     distortion: tuple[float, ...] = ()
+    focal_sd: float = 0.0
 
     @classmethod
     def of(cls, fx_fy_cx_cy: Iterable[float], width: int | None = None, height: int | None = None) -> "Intrinsics":
@@ -90,8 +92,10 @@ class RawFrame:
     """One logged instant: an image, a pose or both.
 
     `number` is the row's place in the log and becomes the frame's number; `source` names the row for the user.
-    `vio_T_cam` (4, 4) is None where the app logs poses apart from images: it's interpolated then. `split` is what a
-    public data set states that the image is for, where that differs within a recording.
+    `vio_T_cam` (4, 4) is None where the app logs poses apart from images: it's interpolated then. `quarters` is how
+    many quarter turns clockwise EXIF or a video states for its stored pixels; its intrinsics are of the turned image.
+    `camera` tells the cameras of a recording of several apart. `split` is what a public data set states that the image
+    is for, where that differs within a recording.
     """
 
     number: int
@@ -103,6 +107,8 @@ class RawFrame:
     tracking: Tracking = Tracking.UNKNOWN
     exposure_s: float | None = None
     depth: DepthFile | None = None
+    quarters: int = 0
+    camera: str = ""
     split: SessionSplit | None = None
 
 
@@ -125,9 +131,10 @@ class Reject:
 class Recording:
     """One recording, in the order of its log.
 
-    `pose_source`: the phone's odometry, or a reference from elsewhere, as in public data sets, which must never pass
-    for VIO. `is_gravity_aligned` is False where the world's +y may not be up, `up_source` what says so: a format sets
-    `STATED` where the capture itself does, and import tests the rest (`checks/gravity.py`). `is_metric` is False where
+    `pose_source`: the phone's odometry, a reference from elsewhere, as in public data sets, which must never pass for
+    VIO, or none: then no row has a pose. `is_gravity_aligned` is False where the world's +y may not be up, `up_source`
+    what says so: a format sets `STATED` where the capture itself does, and import tests the rest
+    (`checks/gravity.py`). `is_metric` is False where
     a reference states no unit. `split` is what a public data set states that the recording is for. `first_row` is the
     side of the images that the sensor reads out first, `readout_s` the time from there to the last row, where the
     capture states them. `has_intrinsics` is False where it states no intrinsics: those of the frames are a
@@ -195,10 +202,10 @@ class Jump:
 
 @dataclass(frozen=True)
 class Session:
-    """A recording, or the part of one between two large jumps of its odometry.
+    """A recording, or the part of one between two large jumps of its odometry, or of one camera of several.
 
-    `frames` are all rows with a sound pose, in time order; `images` those of them with a sound image; `rejects` the
-    other rows and images of the recording that fall into it.
+    `frames` are all rows with a sound pose (all rows where none has one), in time order; `images` those of them with a
+    sound image; `rejects` the other rows and images of the recording that fall into it.
     """
 
     session_id: str
@@ -227,6 +234,11 @@ class Session:
         """Whether its poses are the phone's odometry."""
         return self.recording.pose_source == PoseSource.VIO
 
+    @property
+    def has_poses(self) -> bool:
+        """Whether it has poses at all."""
+        return self.recording.pose_source != PoseSource.NONE
+
 
 @dataclass(frozen=True)
 class PlacedImage:
@@ -250,5 +262,6 @@ class PlacedDepth:
 
 
 def poses_of(frames: Iterable[RawFrame]) -> Array:
-    """Poses (N, 4, 4) of rows that have one."""
-    return np.array([frame.vio_T_cam for frame in frames], dtype=float).reshape(-1, 4, 4)
+    """Poses (N, 4, 4) of rows; NaN of those that have none."""
+    poses = [np.full((4, 4), np.nan) if frame.vio_T_cam is None else frame.vio_T_cam for frame in frames]
+    return np.array(poses, dtype=float).reshape(-1, 4, 4)

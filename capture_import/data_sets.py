@@ -26,10 +26,10 @@ def size_of(image: Path) -> tuple[int, int]:
         raise BadRow(f"image can't be read: {error}") from None
 
 
-def guessed_intrinsics(width: int, height: int) -> Intrinsics:
+def guessed_intrinsics(width: int, height: int, focal_sd: float = 0.0) -> Intrinsics:
     """Intrinsics of an image of this size whose log states none: of the focal length that COLMAP assumes, too."""
     f = 1.2 * max(width, height)
-    return Intrinsics(f, f, width / 2, height / 2, width, height)
+    return Intrinsics(f, f, width / 2, height / 2, width, height, focal_sd=focal_sd)
 
 
 def data_set_of(path: Path, images_of: Callable[[Path], Path | None]) -> Path | None:

@@ -13,7 +13,7 @@ from groundwalk.capture_import.capture import ImageFile, Limits, RawFrame, Recor
 from groundwalk.capture_import.formats import FORMATS, Format
 from groundwalk.capture_import.image_files import images_in, in_order, is_image
 from groundwalk.capture_import.media.archive import SUFFIXES, unpack
-from groundwalk.capture_import.refusal import no_capture
+from groundwalk.capture_import.refusal import are_images_alone, no_capture
 from groundwalk.store import UserError, progress
 from groundwalk.store.choices import PoseSource, Rejected
 from groundwalk.store.hints import setting_of
@@ -110,13 +110,17 @@ def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str
     root = root.resolve()
     if not root.exists():
         raise UserError("the capture doesn't exist", where=root, expected="a folder of phone captures")
+    formats = [form for form in FORMATS.values() if not form.is_images_alone] if chosen is None else [chosen]
     try:
-        search = _Search(root, unpacked, limits, chosen)
+        search = _Search(root, unpacked, limits, formats)
         hits = search.run(root, (), 0)
+        if not hits and chosen is None and are_images_alone(root, unpacked, formats):
+            search = _Search(root, unpacked, limits, [form for form in FORMATS.values() if form.is_images_alone])
+            hits = search.run(root, (), 0)
     except OSError as error:
         raise _unreadable(root, error) from None
     if not hits:
-        raise no_capture(root, search.formats, chosen, search.others())
+        raise no_capture(root, formats, chosen, search.others())
     names = [_plain((hit.parts or (root.stem if root.is_file() else root.name,))[-1]) for hit in hits]
     counts = Counter(names)
     sources = []
@@ -143,14 +147,10 @@ class _Search:
     root: Path
     unpacked: Path
     limits: Limits
-    chosen: Format | None
+    formats: list[Format]
     in_archive: bool = False
     failed: set[str] = field(default_factory=set)
     unread: list[_Hit] = field(default_factory=list)
-
-    @property
-    def formats(self) -> list[Format]:
-        return [*FORMATS.values()] if self.chosen is None else [self.chosen]
 
     def others(self) -> str:
         """The recordings that only other formats than the chosen one fit; empty where there is none."""
@@ -160,8 +160,8 @@ class _Search:
     def run(self, path: Path, parts: tuple[str, ...], depth: int) -> list[_Hit]:
         """Recordings at or below `path`; `parts` is the way to it by the names that a user sees."""
         _refuse_link_out(self.root, path)
-        fits = [f for f in FORMATS.values() if self._fits(f, path)]
-        candidates = [f for f in fits if self.chosen is None or f is self.chosen]
+        fits = [f for f in FORMATS.values() if (f in self.formats or not f.is_images_alone) and self._fits(f, path)]
+        candidates = [f for f in fits if f in self.formats]
         first = [f for f in candidates if not {g.id for g in candidates} & set(f.yields_to)]
         if len(first) > 1:
             raise UserError(
@@ -204,7 +204,7 @@ class _Search:
         digest = hashlib.sha256(os.fsencode(path.relative_to(self.root))).hexdigest()
         target = self.unpacked.resolve() / digest[:32]
         unpack(path, target, self.limits)
-        return _Search(target, target, self.limits, self.chosen, True, self.failed, self.unread).run(
+        return _Search(target, target, self.limits, self.formats, True, self.failed, self.unread).run(
             target, parts, depth + 1
         )
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from groundwalk.store.text import natural_order
 
-# HEIC isn't read: such an image is a reject by its content.
+# HEIC isn't read: such an image is a reject by its content, which says how to convert it.
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif")
 
 

@@ -24,6 +24,7 @@ from groundwalk.capture_import.origin import describe_origin, far_origin
 from groundwalk.capture_import.selection import select, select_enough
 from groundwalk.capture_import.sessions import duration, path_length, sound_sessions
 from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.store.choices import PoseSource
 from groundwalk.store.progress import track
 from groundwalk.store.text import grouped_reasons, printable
 
@@ -93,10 +94,13 @@ def _health(sessions: Sequence[Session], settings: ImportSettings) -> Iterator[s
     used = select(sessions, settings)
     for session in (session for session in sessions if session.frames):
         name = f"{session.session_id}: " if len(sessions) > 1 else ""
-        yield f"  poses      {name}{len(session.frames)}{_motion(session, settings)}"
-        states = Counter(frame.tracking for frame in session.frames)
-        shares = [f"{state} {n / len(session.frames):.0%}" for state, n in states.most_common()]
-        yield f"  tracking   {', '.join(shares)}"
+        if session.has_poses:
+            yield f"  poses      {name}{len(session.frames)}{_motion(session, settings)}"
+            states = Counter(frame.tracking for frame in session.frames)
+            shares = [f"{state} {n / len(session.frames):.0%}" for state, n in states.most_common()]
+            yield f"  tracking   {', '.join(shares)}"
+        else:
+            yield f"  poses      {name}none"
         if session.images:
             sizes = Counter((image.check.width, image.check.height) for image in session.images)
             low, median, high = np.percentile([image.check.sharpness for image in session.images], [0, 50, 100])
@@ -136,7 +140,7 @@ def _why_unusable(
 ) -> str | None:
     """Why a recording can't be used; None where it can."""
     if not any(session.frames for session in sessions):
-        return "unusable: no sound pose"
+        return "unusable: no sound pose" if raw.pose_source != PoseSource.NONE else "unusable: no sound image"
     if any(fault.is_unusable for fault in implausible):
         return "unusable: not plausible, by the warning above"
     if not any(session.images for session in sessions) and any(frame.image is not None for frame in raw.frames):
@@ -151,11 +155,13 @@ def _status(sessions: Sequence[Session], check: ConventionCheck, has_gravity: bo
     faults = [f"{warnings} warning{'s' * (warnings > 1)} above"] if warnings else []
     if check.pairs and check.declared < MIN_EXPLAINED:
         faults.append("its poses fit its images badly")
-    if not sessions[0].has_vio:
+    if not sessions[0].has_poses:
+        faults.append("images alone: its map has no scale and no vertical, and nothing but the images checks it")
+    elif not sessions[0].has_vio:
         faults.append("its poses are a reference, not VIO")
     elif not has_gravity:
         faults.append("its gravity is unknown, by the line above")
-    if len(sessions) > 1:
+    if len(sessions) > 1 and sessions[0].has_poses:
         faults.append(f"VIO jumps split it into {len(sessions)} sessions")
     if rejects := sum(len(session.rejects) for session in sessions):
         faults.append(f"{rejects} rows are rejected")

@@ -18,7 +18,7 @@ from groundwalk.geometry.poses import Array, pose_from_tq
 from groundwalk.store import UserError
 from groundwalk.store.files import leads_outside
 
-Row = TypeVar("Row")
+Row, Frame = TypeVar("Row"), TypeVar("Frame")
 
 # A world with +z up, seen with +y up.
 YUP_T_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -33,10 +33,11 @@ class BadRow(ValueError):
 
 
 def read_rows(
-    rows: Iterable[tuple[str, Row]], read: Callable[[int, str, Row], RawFrame]
-) -> tuple[list[RawFrame], list[Reject]]:
+    rows: Iterable[tuple[str, Row]], read: Callable[[int, str, Row], Frame]
+) -> tuple[list[Frame], list[Reject]]:
     """Read each row, named by its source, by `read(number, source, row)`; a row that raises BadRow becomes a reject."""
-    frames, rejects = [], []
+    frames: list[Frame] = []
+    rejects = []
     for number, (source, row) in enumerate(rows):
         try:
             frames.append(read(number, source, row))

@@ -52,9 +52,13 @@ def log_session(
     """Log one session; `frames` are its rows of the frames table. Time counts from the session's first pose; images
     without times are numbered in the order of their names."""
     at = f"/{session.session_id}"
-    t_ns, poses = session.t_ns, session.poses
+    poses = session.poses
     stream.log(at, UP_AXIS, static=True)
     if not len(poses):
+        return
+    if not session.has_poses:
+        _log_curves(stream, at, session, dataset_frames(frames))
+        _log_thumbnails(stream, session, dataset_frames(frames), image_path, 1.0)
         return
     _log_path(stream, f"{at}/{session.recording.pose_source}", session)
     support, frames = frames[frames["support"]], dataset_frames(frames)
@@ -64,12 +68,24 @@ def log_session(
     for name, rows, depth_m in (("frames", frames, size / 4), ("support_frames", support, size / 8)):
         outlined = rows.iloc[evenly(len(rows), _MAX_FRUSTA)]
         _log_frusta(stream, f"{at}/{name}", outlined, _cameras(session, outlined), depth_m)
+    _log_thumbnails(stream, session, frames, image_path, size)
+
+
+def _log_thumbnails(
+    stream: rr.RecordingStream,
+    session: Session,
+    frames: pd.DataFrame,
+    image_path: Callable[[str], Path],
+    size_m: float,
+) -> None:
+    """The moving camera with some of the frames' images; where there are no poses, it stays at the origin."""
     shown = frames.iloc[:: max(1, math.ceil(len(frames) / _MAX_THUMBNAILS))]
     for first in range(0, len(shown), _BATCH):
         batch = shown.iloc[first : first + _BATCH]
         jpegs = list(in_parallel(lambda image: _thumbnail(image_path(image)), batch["image"]))
-        times = _time_column(session, batch["t_ns"].to_numpy() - t_ns[0])
-        _log_images(stream, f"{at}/camera", batch, _cameras(session, batch), jpegs, times, size)
+        times = _time_column(session, batch["t_ns"].to_numpy() - session.t_ns[0])
+        cameras = _cameras(session, batch) if session.has_poses else np.tile(np.eye(4), (len(batch), 1, 1))
+        _log_images(stream, f"/{session.session_id}/camera", batch, cameras, jpegs, times, size_m)
 
 
 def _thumbnail(path: Path) -> bytes:
@@ -163,7 +179,7 @@ def _log_path(stream: rr.RecordingStream, at: str, session: Session) -> None:
 
 def _log_curves(stream: rr.RecordingStream, at: str, session: Session, frames: pd.DataFrame) -> None:
     t_ns, positions = session.t_ns, session.poses[:, :3, 3]
-    if len(t_ns) > 1 and session.recording.clock.has_times:
+    if len(t_ns) > 1 and session.recording.clock.has_times and session.has_poses:
         speed = np.linalg.norm(np.diff(positions, axis=0), axis=1) / (np.diff(t_ns) * 1e-9)
         since = _time_column(session, t_ns[1:] - t_ns[0])
         _log_curve(stream, f"{at}/speed", since, speed, "speed", _colour(session))

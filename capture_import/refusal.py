@@ -7,14 +7,16 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import images_in, in_order
+from groundwalk.capture_import.image_files import images_in, in_order, is_image
+from groundwalk.capture_import.media.video import is_video
 from groundwalk.capture_import.parsing import first_bytes
 from groundwalk.store import UserError
-from groundwalk.store.hints import groundwalk_command
+from groundwalk.store.hints import groundwalk_command, setting_of
 from groundwalk.store.text import in_words, name_list
 
 _MAX_NEAREST = 3
 _MAX_FOLDERS = 200
+_IMAGES_ALONE = 'format = "photos" (or "video")'
 # What keys of an unknown log are about, by what apps and tools call them.
 _KEYS = {
     "poses": r"transform|pose|matrix|rotation|quat|position|translation",
@@ -30,22 +32,44 @@ def no_capture(root: Path, formats: Sequence[Format], chosen: Format | None, oth
     what = "no capture in a known format" if chosen is None else f"no capture in the format {chosen.id}"
     if not root.is_dir():
         return UserError(what, where=root, found="a file of an unknown kind", do=f"{groundwalk_command()} formats")
-    if around := [p for p in root.parents[:2] if any(f.fits(p) for f in formats if not f.is_file)]:
+    if around := _around(root, formats):
         do = f"{groundwalk_command()} inspect {shlex.quote(str(around[0]))}"
         return UserError(what, where=root, found=f"a part of the recording {around[0]}", do=do)
     nearest = _nearest(root, formats)
     logs = list(_unknown_logs(root))
+    alone = f"; or read the images without poses: {setting_of('import', _IMAGES_ALONE)}" if _has_images(root) else ""
     found = others or "; ".join([_content(root), *logs])
     if nearest:
-        do = "copy the recording again, with all its files; " + _formats_command()
+        do = f"copy the recording again, with all its files; {_formats_command()}{alone}"
         others_like = "\n            ".join(nearest[1:])
         return UserError(nearest[0], where=root, expected=others_like or None, found=found, do=do)
     if logs:
         do = "write frames.jsonl from it, in a few lines: docs/reference/capture-formats.md (from another app's log)"
+        do += alone
     else:
         do = _formats_command() + "; any app can write frames.jsonl: docs/reference/capture-formats.md"
     expected = None if chosen is None else f"{chosen.label}: {chosen.recognised_by}"
     return UserError(what, where=root, expected=expected, found=found, do=do)
+
+
+def are_images_alone(root: Path, unpacked: Path, formats: Sequence[Format]) -> bool:
+    """Whether a capture, whose archives are `unpacked`, is no part and has no part of a recording in these formats, and
+    no log that seems to hold poses."""
+    if _around(root, formats):
+        return False
+    folders = [path for top in (root, unpacked) for path in (top, *top.rglob("*")) if path.is_dir()]
+    return not any(_nearest(folder, formats) for folder in (root, unpacked) if folder.is_dir()) and not any(
+        True for folder in folders for _ in _unknown_logs(folder)
+    )
+
+
+def _around(root: Path, formats: Iterable[Format]) -> list[Path]:
+    """The recordings of which a folder is a part."""
+    return [p for p in root.parents[:2] if any(f.fits(p) for f in formats if not f.is_file)]
+
+
+def _has_images(root: Path) -> bool:
+    return any(is_image(path) or is_video(path) for path in root.rglob("*"))
 
 
 def _formats_command() -> str:
@@ -61,7 +85,10 @@ def _nearest(root: Path, formats: Iterable[Format]) -> list[str]:
             here = form.has(folder)
             # `images/` or `*.jpg` alone are in all captures.
             names = list(zip(form.files, here, strict=True))
-            is_told = any(is_here and not re.fullmatch(r"\*\..*|[\w*]+/", name) for name, is_here in names)
+            is_told = any(
+                is_here and not all(re.fullmatch(r"(\*/)*\*\..*|[\w*]+/", one) for one in name.split("|"))
+                for name, is_here in names
+            )
             if is_told and not all(here):
                 place = "" if folder == root else f" ({folder.relative_to(root)})"
                 found, missing = (

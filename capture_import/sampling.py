@@ -1,6 +1,7 @@
 """Choosing images of a walk: by rate, by motion, and between these so many that neighbours are near."""
 
 import heapq
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,19 @@ def sample_rate(t_ns: NDArray[np.int64], sharpness: Array, rate_hz: float) -> ND
     for group in np.split(np.arange(len(t_ns)), np.flatnonzero(np.diff(tick)) + 1):
         near = group[off[group] <= _WINDOW]
         used.append(near[np.argmax(sharpness[near])] if len(near) else group[np.argmin(off[group])])
+    return np.array(used, dtype=np.int64)
+
+
+def sample_halfway(t_ns: NDArray[np.int64], sharpness: Array, frames: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Indices of one image between neighbouring `frames` (indices, rising), where there is any: the sharpest of those
+    in the middle half of the time between them, or else the nearest to its middle."""
+    used = []
+    for a, b in pairwise(frames.tolist()):
+        between = np.arange(a + 1, b)
+        if len(between):
+            off = np.abs((t_ns[between] - t_ns[a]) / (t_ns[b] - t_ns[a]) - 0.5)
+            near = between[off <= _WINDOW]
+            used.append(near[np.argmax(sharpness[near])] if len(near) else between[np.argmin(off)])
     return np.array(used, dtype=np.int64)
 
 

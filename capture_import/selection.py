@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import Image, Session, poses_of
-from groundwalk.capture_import.sampling import motion_steps, sample_between, sample_motion, sample_rate
+from groundwalk.capture_import.sampling import motion_steps, sample_between, sample_halfway, sample_motion, sample_rate
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.store.hints import setting_of
 
@@ -77,7 +77,10 @@ def density_for(sessions: Sequence[Session], settings: ImportSettings) -> float:
 def _select(session: Session, settings: ImportSettings, density: float) -> Selection:
     frames = _sampled(session, settings, density)
     support = np.empty(0, dtype=np.int64)
-    if max_support := math.floor(settings.max_support_fraction * len(frames)):
+    max_support = math.floor(settings.max_support_fraction * len(frames))
+    if max_support and not session.has_poses:
+        support = sample_halfway(_times(session), _sharpness(session), frames)[:max_support]
+    elif max_support:
         poses = poses_of(image.frame for image in session.images)
         support = sample_between(poses, _sharpness(session), frames, _STEP_M, _STEP_DEG, max_support)
     used = np.sort(np.concatenate([frames, support]))
@@ -90,15 +93,18 @@ def _sampled(session: Session, settings: ImportSettings, density: float) -> NDAr
     if not images or settings.sampling == "all" or math.isinf(density) or not session.recording.clock.has_times:
         return np.arange(len(images))
     sharpness, poses = _sharpness(session), poses_of(image.frame for image in images)
-    if settings.sampling == "rate":
-        t_ns = np.array([image.frame.t_ns for image in images], dtype=np.int64)
-        return sample_rate(t_ns, sharpness, settings.rate_hz * density)
+    if settings.sampling == "rate" or not session.has_poses:
+        return sample_rate(_times(session), sharpness, settings.rate_hz * density)
     if density == 1:
         return sample_motion(poses, sharpness, settings.step_m, settings.step_deg)
     # Steps from one frame to the next come in whole images, twice as many all at once; ticks don't.
     steps = motion_steps(poses[:-1], poses[1:], settings.step_m, settings.step_deg)
     walked = np.concatenate([[0.0], np.cumsum(steps)])
     return sample_rate((1e9 * walked).astype(np.int64), sharpness, density)
+
+
+def _times(session: Session) -> NDArray[np.int64]:
+    return np.array([image.frame.t_ns for image in session.images], dtype=np.int64)
 
 
 def _sharpness(session: Session) -> NDArray[np.float64]:

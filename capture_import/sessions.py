@@ -1,13 +1,23 @@
-"""From a recording as the phone wrote it to sessions of sound rows, cut at large VIO jumps."""
+"""From a recording as the phone wrote it to sessions of sound rows, cut at large VIO jumps, or by camera."""
 
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from groundwalk.capture_import.capture import Image, ImageCheck, ImageFile, RawFrame, Recording, Reject, Session
+from groundwalk.capture_import.capture import (
+    Image,
+    ImageCheck,
+    ImageFile,
+    RawFrame,
+    Recording,
+    Reject,
+    Session,
+    poses_of,
+)
 from groundwalk.capture_import.checks.jumps import find_jumps
 from groundwalk.capture_import.checks.rows import check_rows, content_fault, size_fault
 from groundwalk.capture_import.media.images import exif_orientation
@@ -19,7 +29,8 @@ def sound_sessions(
     check_images: Callable[[list[RawFrame]], Iterable[ImageCheck | str]],
     min_relative_sharpness: float,
 ) -> list[Session]:
-    """Check a recording's rows and images, find its jumps, and cut it at the large ones: one session at least.
+    """Check a recording's rows and images, find its jumps, and cut it at the large ones: one session at least. Where
+    it has no poses, each of its cameras has a session.
 
     `check_images` gives for each of the given frames what was measured of its image, or why it can't be used. One less
     sharp than `min_relative_sharpness` of the median is rejected.
@@ -29,7 +40,9 @@ def sound_sessions(
     if not recording.clock.has_times:
         images, copies = _without_copies(images)
         bad += copies
-    poses = np.array([f.vio_T_cam for f in frames], dtype=float).reshape(-1, 4, 4)
+    if recording.pose_source == PoseSource.NONE:
+        return _by_camera(recording, frames, images, [*rejects, *bad])
+    poses = poses_of(frames)
     t_ns = np.array([f.t_ns for f in frames], dtype=np.int64)
     jumps = find_jumps(t_ns, poses) if recording.pose_source == PoseSource.VIO else []
     starts = [0, *(jump.index for jump in jumps if jump.splits)]
@@ -47,6 +60,27 @@ def sound_sessions(
                 # A large jump is a row of the session that it ends, so that no session's poses have one inside.
                 jumps=[jump for jump in jumps if start < jump.index <= stop],
                 rejects=[reject for reject, at in zip((*rejects, *bad), lies_in, strict=True) if at == place],
+            )
+        )
+    return sessions
+
+
+def _by_camera(
+    recording: Recording, frames: list[RawFrame], images: list[Image], rejects: list[Reject]
+) -> list[Session]:
+    """A session a camera, in order of their first images; rejects are of the first one. What a camera is called in the
+    file doesn't leave import."""
+    sessions = []
+    for place, camera in enumerate(dict.fromkeys([frame.camera for frame in frames] or [""])):
+        name = f"camera {place + 1}"
+        sessions.append(
+            Session(
+                session_id=recording.recording_id + (f".camera{place + 1}" if place else ""),
+                recording=replace(recording, device=name if recording.device == "unknown" else recording.device),
+                frames=[frame for frame in frames if frame.camera == camera],
+                images=[image for image in images if image.frame.camera == camera],
+                jumps=[],
+                rejects=[] if place else rejects,
             )
         )
     return sessions

@@ -249,8 +249,8 @@ def _report(
         walked = [f"{row.path_m:.1f} m"] if pd.notna(row.path_m) else []
         walked += [f"{row.duration_s:.0f} s"] if pd.notna(row.duration_s) else ["no times"]
         r.say(
-            f"{row.session_id}: {row.poses} poses, {row.images} images, {row.frames} frames and {row.support_frames} "
-            f"support frames selected, {' in '.join(walked)} ({row.split})"
+            f"{row.session_id}: {row.poses or 'no'} poses, {row.images} images, {row.frames} frames and "
+            f"{row.support_frames} support frames selected, {' in '.join(walked)} ({row.split})"
         )
     rejects = sum(len(session.rejects) for session in sessions)
     if rejects:

@@ -50,6 +50,7 @@ def frames_table(
                 "cx": camera.cx,
                 "cy": camera.cy,
                 "distortion": list(camera.distortion),
+                "focal_sd": camera.focal_sd,
                 "first_row": first_row_of(check.width, check.height),
                 "stated_readout_s": math.nan if raw.readout_s is None else raw.readout_s,
                 "tracking": frame.tracking,
@@ -72,8 +73,8 @@ def frames_table(
 
 
 def reference_table(session: Session, frames: pd.DataFrame) -> pd.DataFrame:
-    """Rows of `reference` for a session's rows of `frames`: none where the poses are the phone's."""
-    if session.has_vio:
+    """Rows of `reference` for a session's rows of `frames`: none where the poses are the phone's, or there are none."""
+    if session.has_vio or not session.has_poses:
         frames = frames.iloc[:0]
     pose_of = {session.frame_id(image.frame.number): image.frame.vio_T_cam for image in session.images}
     poses = np.array([pose_of[name] for name in frames["frame_id"]], dtype=float).reshape(-1, 4, 4)
@@ -98,6 +99,7 @@ def sessions_table(
         dataset = dataset_frames(used)
         unit = LengthUnit.METRE if reference_is_metric or recording.is_metric else LengthUnit.UNKNOWN
         reference_origin = [0.0] * 3 if origin is None else origin.tolist()
+        is_reference = session.has_poses and not session.has_vio
         rows.append(
             {
                 "session_id": session.session_id,
@@ -107,14 +109,14 @@ def sessions_table(
                 "clock": recording.clock,
                 "duration_s": duration(session),
                 "path_m": path_length(session, reference_is_metric),
-                "poses": len(session.frames),
+                "poses": len(session.frames) if session.has_poses else 0,
                 "images": len(session.images),
                 "frames": len(dataset),
                 "support_frames": len(used) - len(dataset),
                 "split": _session_split(set(dataset["split"])),
                 "pose_source": recording.pose_source,
-                "reference_unit": None if session.has_vio else unit,
-                **dict(zip(_ORIGIN, [math.nan] * 3 if session.has_vio else reference_origin, strict=True)),
+                "reference_unit": unit if is_reference else None,
+                **dict(zip(_ORIGIN, reference_origin if is_reference else [math.nan] * 3, strict=True)),
                 "appearance": appearances.get(recording.recording_id),
                 "up": UpAxis.Y if recording.is_gravity_aligned else UpAxis.UNKNOWN,
                 "up_source": recording.up_source,

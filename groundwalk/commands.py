@@ -32,21 +32,6 @@ app = new_app("Whole scenes.")
 VERDICT = "verdict.json"
 _JUDGED_IN = "demo"  # the profile: its settings of sfm take minutes on two cores
 _EXIT = {"accepted": 0, "undecided": 3, "refused": 4}
-_PICTURES = {
-    ".jpg",
-    ".jpeg",
-    ".png",
-    ".heic",
-    ".heif",
-    ".tif",
-    ".tiff",
-    ".webp",
-    ".dng",
-    ".mov",
-    ".mp4",
-    ".m4v",
-    ".avi",
-}
 CapturesOption = Annotated[
     Path | None,
     typer.Option(help="A folder of phone captures that the scene is to use; it is linked, not copied."),
@@ -103,7 +88,7 @@ def judge(
     progress.console.print(f"judging {folder}; all that is made lies below {out}")
     report, unread = root.run(_JUDGED_IN, name, "report"), partial_folder(root.run(_JUDGED_IN, name, "import"))
     try:
-        _refuse_without_poses(folder)
+        _refuse_empty(folder)
     except UserError as error:
         _write_unreadable(out, folder.name, {"what": error.what, **error.details})
         raise
@@ -205,19 +190,10 @@ def _write_unreadable(out: Path, name: str, stopped: dict[str, Any]) -> None:
         progress.stdout.print(str(out / file))
 
 
-def _refuse_without_poses(folder: Path) -> None:
-    """UserError for pictures alone, and for nothing at all."""
-    files = capture_files(folder)
-    if not files:
-        raise UserError("the folder is empty", where=folder, expected="a folder of phone captures")
-    if all(file.suffix.lower() in _PICTURES for file in files):
-        raise UserError(
-            "these are photos or videos alone: without the phone's poses (VIO) there is no scale, and nothing that "
-            "says which frames to trust",
-            where=folder,
-            found=f"{len(files)} pictures or videos and nothing else",
-            do="record with an app that logs the phone's poses, too: docs/reference/capture-formats.md lists them",
-        )
+def _refuse_empty(folder: Path) -> None:
+    """UserError for a folder with nothing in it."""
+    if not capture_files(folder):
+        raise UserError("the folder is empty", where=folder, expected="a folder of phone captures, photos or videos")
 
 
 @app.command()

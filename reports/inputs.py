@@ -157,6 +157,11 @@ class SceneInputs:
         """The sessions with VIO; the others have a reference, or no poses at all."""
         return set(self.sessions.loc[self.sessions["pose_source"] == PoseSource.VIO, "session_id"])
 
+    @property
+    def is_images_alone(self) -> bool:
+        """No session has poses: photos or videos."""
+        return bool((self.sessions["pose_source"] == PoseSource.NONE).all())
+
     def why_alone(self) -> str:
         """Why predictions stand alone in the scene, or in some of its test sessions; empty where all are fused."""
         alone = sorted(self.unfused_sessions)

@@ -119,6 +119,8 @@ def _state(scene: SceneInputs, frames: pd.DataFrame) -> tuple[State, str]:
         return State.REFUSED, _sentence(scene.stopped["what"], scene.stopped.get("found"))
     if "align" not in scene.stages:
         return State.OPEN, "ground truth hasn't been made yet: run the stage align"
+    if scene.is_images_alone and scene.unit is not MapUnit.METRE:
+        return State.UNDECIDED, _of_images_alone(frames)
     return state_of(scene.align_checks, frames["quality"])
 
 
@@ -139,6 +141,20 @@ def _sentence(what: str, more: str | None) -> str:
     """A reason on one line; an error's details may be lists with a line each."""
     lines = [line.strip() for line in (more or "").splitlines()]
     return f"{what} ({'; '.join(filter(None, lines))})" if more else what
+
+
+def _of_images_alone(frames: pd.DataFrame) -> str:
+    """What a map of images without poses is: its lengths have no unit but its extent."""
+    placed = frames[frames["quality"] != QualityClass.NONE]
+    extent = float(np.linalg.norm(np.ptp(placed[["x", "y", "z"]].to_numpy(float), axis=0)))
+    known = placed[placed["position_sd"].notna()]
+    text = f"images alone, without scale or vertical: {len(placed)} of {len(frames)} are in the map"
+    if len(known) and extent > 0:
+        text += (
+            f", to {100 * known['position_sd'].median() / extent:.2g} % of its extent and "
+            f"{known['rotation_sd_deg'].median():.2g}° (one sigma, medians)"
+        )
+    return f"{text}. Nothing but the images themselves checks it: look-alike places may be one in it"
 
 
 def _frames(scene: SceneInputs) -> pd.DataFrame:

@@ -1,6 +1,6 @@
 """COLMAP's database of a scene: a camera for each frame, and the results of extraction and matching."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -54,8 +54,11 @@ def camera_of(frame: Any, camera_id: int) -> pycolmap.Camera:
     return camera
 
 
-def create_database(path: Path, frames: pd.DataFrame, names: Sequence[str]) -> None:
-    """Write a database with one camera, rig, frame and image for each row of `frames`, unless it is there."""
+def create_database(
+    path: Path, frames: pd.DataFrame, names: Sequence[str], shared: Mapping[str, pycolmap.Camera] | None = None
+) -> None:
+    """Write a database with one camera, rig, frame and image for each row of `frames`, unless it is there; or with
+    the camera that each session's images are to share."""
     if path.is_file():
         return
     partial = path.with_name(path.name + ".partial")
@@ -63,15 +66,16 @@ def create_database(path: Path, frames: pd.DataFrame, names: Sequence[str]) -> N
     with pycolmap.Database.open(partial) as database, pycolmap.DatabaseTransaction(database):
         for row, frame in enumerate(frames.itertuples(index=False)):
             number = image_id(row)
-            camera = camera_of(frame, number)
-            rig = pycolmap.Rig(rig_id=number)
-            rig.add_ref_sensor(camera.sensor_id)
-            image = pycolmap.Image(image_id=number, camera_id=number, name=names[row])
-            colmap_frame = pycolmap.Frame(frame_id=number, rig_id=number)
+            camera = camera_of(frame, number) if shared is None else shared[str(frame.session_id)]
+            if not database.exists_camera(camera.camera_id):
+                rig = pycolmap.Rig(rig_id=camera.camera_id)
+                rig.add_ref_sensor(camera.sensor_id)
+                database.write_camera(camera, use_camera_id=True)
+                database.write_rig(rig, use_rig_id=True)
+            image = pycolmap.Image(image_id=number, camera_id=camera.camera_id, name=names[row])
+            colmap_frame = pycolmap.Frame(frame_id=number, rig_id=camera.camera_id)
             colmap_frame.add_data_id(image.data_id)
             image.frame_id = number
-            database.write_camera(camera, use_camera_id=True)
-            database.write_rig(rig, use_rig_id=True)
             database.write_frame(colmap_frame, use_frame_id=True)
             database.write_image(image, use_image_id=True)
     partial.replace(path)

@@ -120,8 +120,10 @@ def report_motion(r: StageRun[SfmSettings], frames: pd.DataFrame, motion: Motion
         )
 
 
-def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: pd.DataFrame) -> None:
-    """A line for each lens, and for each session whose logged focal lengths are likely wrong."""
+def report_cameras(
+    r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: pd.DataFrame, frames: pd.DataFrame
+) -> None:
+    """A line for each lens, and for each session whose logged focal lengths are likely wrong, or that has none."""
     for lens in lenses.to_dict("records"):
         r.say(
             f"lens of {lens['lens_id']}: "
@@ -149,6 +151,12 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
                 f"{session['focal_step']:.3f} at frame {session['focal_step_frame_id']}, the logged one doesn't: "
                 "digital zoom or another lens. Log the focal length of each image, or capture again without a change"
             )
+        of_session = frames[frames["session_id"] == session["session_id"]]
+        if (of_session["focal_sd"] > 0).any():
+            focal_px = session["focal_scale"] * of_session["fx"].median()
+            text = _with_sd(focal_px, session["focal_scale_sd"] * focal_px, ".0f")
+            r.say(f"session {session['session_id']}: focal length {text} px by the images")
+            continue
         error = session["focal_scale"] - 1
         if abs(error) >= MAX_FOCAL_ERROR:
             doubt = (

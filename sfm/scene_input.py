@@ -1,5 +1,6 @@
 """What the stage works on: images, VIO, features, and cameras before a model adjusts them."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from groundwalk.sfm.cameras.calibration import (
     with_lenses,
     write_calibrated_database,
 )
+from groundwalk.sfm.cameras.focal_lengths import ESTIMATED_SD, estimate_focal_lengths, sample_unstated
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log
 from groundwalk.sfm.cameras.motion import motion_by_vio
 from groundwalk.sfm.database import create_database, image_name, keypoint_counts
@@ -25,6 +27,7 @@ from groundwalk.sfm.workspace import Workspace
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.child import Task
 from groundwalk.store.choices import Tracking
+from groundwalk.store.files import write_json
 from groundwalk.store.hints import run_command
 from groundwalk.store.tables import poses_of
 
@@ -53,6 +56,32 @@ def linked_images(r: StageRun[SfmSettings], frames: pd.DataFrame) -> Workspace:
             link.symlink_to(source.absolute())
         names.append(name)
     return Workspace(r.scratch / "images", names, r.scratch)
+
+
+def with_focal_lengths(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Workspace) -> pd.DataFrame:
+    """The frames table with estimates of the focal lengths that cameras don't log."""
+    rows = sample_unstated(frames)
+    if not len(rows) or r.settings.refine_cameras == "never":
+        return frames
+    path = work.scratch / "focal_lengths.json"
+    if not path.is_file():
+        with r.step("focal lengths"):
+            some = frames.iloc[rows].reset_index(drop=True)
+            names = [work.names[row] for row in rows]
+            arguments = (some, work.images, names, r.settings, r.seed, work.scratch / "focal_lengths")
+            count = len(rows) * (len(rows) - 1) // 2
+            write_json(path, work.in_child("estimating focal lengths", Task(estimate_focal_lengths, arguments, count)))
+    found: dict[str, float] = json.loads(path.read_text())
+    for session_id in frames.loc[frames["focal_sd"] > 0, "session_id"].unique():
+        of_session = frames["session_id"] == session_id
+        before_px = float(frames.loc[of_session, "fx"].median())
+        if (focal_px := found.get(session_id)) is None:
+            r.say(f"session {session_id}: no model tells its focal length: {before_px:.0f} px, by EXIF or a guess")
+            continue
+        frames = frames.copy()
+        frames.loc[of_session, ["fx", "fy"]] *= focal_px / before_px
+        frames.loc[of_session, "focal_sd"] = ESTIMATED_SD
+    return frames
 
 
 def odometry_of(frames: pd.DataFrame, jumps: pd.DataFrame, sessions: pd.DataFrame) -> Odometry:

@@ -40,6 +40,7 @@ from groundwalk.sfm.scene_input import (
     extracted_features,
     linked_images,
     odometry_of,
+    with_focal_lengths,
 )
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.sfm.tables import (
@@ -55,7 +56,12 @@ from groundwalk.store.child import Task, preload
 from groundwalk.store.choices import AttemptName
 from groundwalk.store.tables import with_cameras
 
-_IN_CHILDREN = ("groundwalk.sfm.cameras.calibration", "groundwalk.sfm.mapping.build", "groundwalk.sfm.pairs.features")
+_IN_CHILDREN = (
+    "groundwalk.sfm.cameras.calibration",
+    "groundwalk.sfm.cameras.focal_lengths",
+    "groundwalk.sfm.mapping.build",
+    "groundwalk.sfm.pairs.features",
+)
 # VIO is surer than SfM where SfM's motion over so much of its path is less certain (align's check of uncertain frames).
 _MOTION_M = 5.0
 # Covariances take 36 N² numbers of memory: 1.8 GB for so many frames. Those of larger models are of class C.
@@ -66,6 +72,7 @@ def run(r: StageRun[SfmSettings]) -> None:
     preload(*_IN_CHILDREN)
     frames, sessions = r.read("import", "frames"), r.read("import", "sessions")
     work = linked_images(r, frames)
+    frames = with_focal_lengths(r, frames, work)
     vio = odometry_of(frames, r.read("import", "jumps"), sessions)
     cameras = calibrated_cameras(r, frames, sessions, vio, work)
     frames = with_lenses(frames, cameras.calibration)
@@ -163,5 +170,5 @@ def run(r: StageRun[SfmSettings]) -> None:
 
     report_models(r, best, held_out, images["not_registered"])
     report_excluded_pairs(r, matched, vio)
-    report_cameras(r, lenses, intrinsics)
+    report_cameras(r, lenses, intrinsics, frames)
     report_motion(r, frames, cameras.motion)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from groundwalk.store.child import Task, in_child
 from groundwalk.store.hints import setting_of
@@ -18,6 +19,6 @@ class Workspace:
     names: Sequence[str]
     scratch: Path
 
-    def in_child(self, text: str, task: Task) -> None:
-        """Run a task in a child process: an error on one of COLMAP's threads aborts the process that it runs in."""
-        in_child(text, self.scratch / "colmap.log", _MEMORY_HINT, task)
+    def in_child(self, text: str, task: Task) -> Any:
+        """The result of a task in a child process: an error on one of COLMAP's threads aborts the one it runs in."""
+        return in_child(text, self.scratch / "colmap.log", _MEMORY_HINT, task)

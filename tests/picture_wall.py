@@ -110,7 +110,7 @@ def write_scene(data: Path, name: str, train: int, test: int, seed: int) -> Path
         clock="boot", image=images, image_sha256=hashes, width=WIDTH, height=HEIGHT, fx=FOCAL, fy=FOCAL
     )
     frames = frames.assign(cx=WIDTH / 2, cy=HEIGHT / 2, distortion=cells([[]] * len(keys)), first_row="top")
-    frames = frames.assign(stated_readout_s=np.nan, tracking="normal")
+    frames = frames.assign(stated_readout_s=np.nan, focal_sd=0.0, tracking="normal")
     frames = frames.assign(gravity_x=0.0, gravity_y=1.0, gravity_z=0.0, sharpness=1.0, exposure_s=0.01)
     frames = frames.assign(blurred_faces=None, blurred_plates=None, support=False)
     frames = frames.assign(depth=None, depth_confidence=None, depth_sha256=None)

@@ -167,6 +167,7 @@ def _make(w: Walks) -> Scene:
                 "t_ns": 10**12 * (number + 1) + 10**9 * np.arange(w.frames),
                 "tracking": "normal",
                 "fx": 1400.0,
+                "focal_sd": 0.0,
                 "width": 1920,
                 "height": 1440,
                 "first_row": "top",

@@ -9,7 +9,7 @@ import numpy as np
 
 from groundwalk.alignment.checks.results import CheckResult, Exclusion, Failure, Quantity, Rows, Subject, evaluate
 from groundwalk.alignment.components import Component
-from groundwalk.alignment.segments import registered_rows, sessions_of
+from groundwalk.alignment.segments import Segment, registered_rows, sessions_of
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import FocalEstimate, SfmTables
 from groundwalk.consistency.decisions import Status, fraction_sd
@@ -39,12 +39,14 @@ _CAUSES = {
 @dataclass(frozen=True, kw_only=True)
 class SessionEvidence:
     """What is known of a session in an SfM model: its registered `rows` of the frames table, its motion against VIO,
-    its focal length by the images (None: unknown). `pairs_match_vio`: pairs of its images, without any model, move as
-    VIO does, so that images and poses belong together and the model is what is wrong."""
+    its focal length by the images (None: unknown); without VIO nothing else is checked. `pairs_match_vio`: pairs of its
+    images, without any model, move as VIO does, so that images and poses belong together and the model is what is
+    wrong."""
 
     subject: Subject
     recording: str
     rows: Rows
+    segments: list[Segment]
     component: Component
     diagnosis: Diagnosis
     focal: FocalEstimate | None
@@ -63,6 +65,7 @@ def check_sessions(component: Component, sfm: SfmTables, settings: AlignSettings
                 subject=Subject(len(rows), session_id, component.index),
                 recording=segments[0].recording,
                 rows=rows,
+                segments=segments,
                 component=component,
                 diagnosis=diagnose([s.trajectory_pair for s in segments], VIO_DRIFT),
                 focal=sfm.focal(component.model_id, session_id),
@@ -74,6 +77,8 @@ def check_sessions(component: Component, sfm: SfmTables, settings: AlignSettings
 
 def _check_session(evidence: SessionEvidence, settings: AlignSettings) -> list[CheckResult]:
     focal = check_focal_length(evidence.subject, evidence.rows, evidence.focal, settings.max_focal_error)
+    if not any(segment.has_vio.any() for segment in evidence.segments):
+        return [focal] if focal is not None else []
     motion = check_motion(evidence)
     results = [focal, motion, check_turns(evidence, focal, motion), check_aliasing(evidence, motion)]
     # A scale or vertical by wrong poses decides nothing.

@@ -36,6 +36,8 @@ class ClockCheck:
 
 def check_clock(session: Session, images: ImageReader) -> ClockCheck:
     """Find the constant offset at which the rotation of the poses best explains the motion of the images."""
+    if not session.has_poses:
+        return ClockCheck(None, np.nan)
     views = list(images.gray(_dense_part([image.frame for image in session.images]), _LONG_SIDE))
     if len(views) < _MIN_IMAGES:
         return ClockCheck(None, np.nan)

@@ -106,7 +106,7 @@ def focal_factor(session: Session, reader: ImageReader) -> float | None:
 def with_focal_length(sessions: list[Session], reader: ImageReader) -> tuple[list[Session], str]:
     """A recording's sessions with the focal length by which its poses explain its images, where it states none; and a
     line on that, empty where it states one."""
-    if sessions[0].recording.has_intrinsics:
+    if sessions[0].recording.has_intrinsics or not sessions[0].has_poses:
         return sessions, ""
     factor = focal_factor(max(sessions, key=lambda session: len(session.images)), reader)
     if factor is None:
@@ -125,7 +125,9 @@ def with_focal_length(sessions: list[Session], reader: ImageReader) -> tuple[lis
 
 
 def _matched_pairs(session: Session, reader: ImageReader) -> list[_MatchedPair]:
-    """A session's pairs of images with parallax and enough matches."""
+    """A session's pairs of images with parallax and enough matches; none without poses."""
+    if not session.has_poses:
+        return []
     frames = [image.frame for image in session.images]
     is_walk = session.recording.is_metric and session.recording.clock.has_times
     pairs = parallax_pairs(frames) if is_walk else unitless_parallax_pairs(frames)

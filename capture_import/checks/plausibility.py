@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundwalk.capture_import.capture import Session
+from groundwalk.capture_import.capture import Image, Session
 
 # The median speed of a runner; walks with a phone are below 2 m/s.
 MAX_WALK_M_S = 3.0
@@ -22,6 +22,9 @@ MIN_RATE_HZ, MAX_RATE_HZ = 0.1, 1000.0
 _MIN_EXTENT_M = 0.002
 # Without a unit, poses in one place differ by this fraction of their coordinates at most.
 _ROUNDING = 1e-12
+# Sharpness after Crete: of phones' images 0.6 to 0.85; out of focus by half a hundredth of their width or more, 0.14 to
+# 0.33.
+_MIN_SHARPNESS = 0.35
 # And faster, most of the time or at least now and then.
 _MIN_SPEED_M_S = 0.01
 _USUAL_SPEED_M_S = 0.03
@@ -78,6 +81,17 @@ def _of_motion(t_ns: np.ndarray, xyz: np.ndarray) -> Iterator[PlausibilityFault]
         )
 
 
+def _of_sharpness(images: Sequence[Image]) -> Iterator[PlausibilityFault]:
+    """Where nothing but images says anything, some have to be sharp."""
+    sharpest = max((image.check.sharpness for image in images), default=1.0)
+    if sharpest < _MIN_SHARPNESS:
+        yield PlausibilityFault(
+            f"none of {len(images)} images is sharp: the sharpest has {sharpest:.2f} of 1 (at least "
+            f"{_MIN_SHARPNESS:g})",
+            remedy="record it again: in more light, slowly, with a clean lens and in focus",
+        )
+
+
 def _unit_guess(speed_m_s: float) -> str:
     """Which unit would make a speed one of a walk."""
     text = "are positions in another unit than metres"
@@ -91,6 +105,9 @@ def _of_images(sessions: Sequence[Session], poses: np.ndarray) -> Iterator[Plaus
     images = [image for session in sessions for image in session.images]
     if len(images) == 1:
         yield PlausibilityFault("it has one image: a model needs many that overlap")
+    if not sessions[0].has_poses:
+        yield from _of_sharpness(images)
+        return
     # The hash of a video's frame isn't known before it is written; its sharpness tells frames apart as well.
     different = len({(image.check.sha256, image.check.sharpness) for image in images})
     if different < 2:

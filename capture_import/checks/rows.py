@@ -31,7 +31,7 @@ def check_rows(recording: Recording) -> tuple[list[RawFrame], list[Reject]]:
     and why the others aren't.
 
     Poses come out orthonormal. A row without a pose gets one interpolated between the poses around it, unless these
-    are too far apart.
+    are too far apart; where a recording has no poses, none has one.
     """
     rejects = list(recording.rejects)
     is_reference = recording.pose_source == PoseSource.REFERENCE
@@ -52,6 +52,8 @@ def check_rows(recording: Recording) -> tuple[list[RawFrame], list[Reject]]:
             is_same = ordered and frame.t_ns == ordered[-1].t_ns
             rejects.append(Reject.of(frame, "time is a duplicate" if is_same else "time goes backward"))
 
+    if recording.pose_source == PoseSource.NONE:
+        return ordered, rejects
     frames = []
     for frame, posed in zip(ordered, _with_poses(ordered), strict=True):
         if posed is None:

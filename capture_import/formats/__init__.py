@@ -20,7 +20,8 @@ class Format(Entry):
     such a name instead. Where these names don't tell, `detect` says whether a folder or file is a recording, and
     `looks_for` the same in words. `read` gets that folder or file and the limits; it raises UserError where the
     recording as a whole can't be read. `yields_to` names formats that are read instead where they fit, too, as they
-    say more of the same images.
+    say more of the same images. `is_images_alone`: it has no poses, and is looked for where a capture holds nothing
+    else that could, or where it's named.
     """
 
     noun: ClassVar[str] = "capture format"
@@ -28,6 +29,7 @@ class Format(Entry):
     files: tuple[str, ...]
     read: Callable[[Path, Limits], Recording] = field(repr=False)
     is_file: bool = False
+    is_images_alone: bool = False
     detect: Callable[[Path], bool] | None = field(default=None, repr=False)
     looks_for: str = ""
     yields_to: tuple[str, ...] = ()

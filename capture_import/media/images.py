@@ -60,6 +60,8 @@ def image_size(data: bytes) -> tuple[int, int]:
     if data.startswith(_PNG_SIGNATURE) and len(data) >= 33:
         width, height = struct.unpack(">II", data[16:24])
         return int(width), int(height)
+    if data[4:8] == b"ftyp":
+        raise BadImage("image is HEIC, which isn't read: convert it (macOS: sips -s format jpeg; else heif-convert)")
     raise BadImage("image is neither JPEG nor PNG")
 
 

@@ -26,7 +26,8 @@ def place_images(
     in images that `to_upright` quarter turns clockwise put upright.
     """
 
-    def rendered(rgb: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], list[Region]]:
+    def rendered(rgb: NDArray[np.uint8], quarters: int) -> tuple[NDArray[np.uint8], list[Region]]:
+        rgb = turned_pixels(rgb, quarters)
         rgb, regions = blur_people(rgb, detect, to_upright) if detect is not None else (rgb, [])
         return turned_pixels(rgb, where.quarters), regions
 
@@ -42,9 +43,10 @@ def place_images(
         ref = image.frame.image
         assert isinstance(ref, ImageFile)  # a recording has files or a video, never both
         regions: list[Region] = []
-        if where.quarters or detect is not None:
-            rgb, regions = rendered(decode_rgb(ref.path.read_bytes(), long_side=2**31))
-            if where.quarters or regions:
+        is_turned = where.quarters or image.frame.quarters
+        if is_turned or detect is not None:
+            rgb, regions = rendered(decode_rgb(ref.path.read_bytes(), long_side=2**31), image.frame.quarters)
+            if is_turned or regions:
                 return placed(written(image, encode_jpeg(rgb), ".jpg"), regions)
         if where.stays(ref.path):
             return placed((ref.path.relative_to(where.root).as_posix(), image.check.sha256), regions)
@@ -56,7 +58,9 @@ def place_images(
         return list(track(in_parallel(of_file, images), text, len(images)))
     image_of = {ref.index: image for image in images if isinstance(ref := image.frame.image, VideoFrame)}
     decoded = decode(video, set(image_of), where.limits)
-    of_video = in_parallel(lambda frame: (frame[0], rendered(rgb_pixels(frame[1]))), decoded)
+    of_video = in_parallel(
+        lambda frame: (frame[0], rendered(rgb_pixels(frame[1]), image_of[frame[0]].frame.quarters)), decoded
+    )
     done = {
         index: placed(written(image_of[index], encode_jpeg(rgb), ".jpg"), regions)
         for index, (rgb, regions) in track(of_video, text, len(image_of))

@@ -2,7 +2,7 @@
 
 import stat
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import av
@@ -18,6 +18,7 @@ from groundwalk.capture_import.media.images import (
     measured,
     shrunk,
 )
+from groundwalk.capture_import.media.upright import turned_pixels
 from groundwalk.capture_import.media.video import decode, gray_pixels
 from groundwalk.store.parallel import in_parallel
 
@@ -38,9 +39,8 @@ class ImageReader:
         cores and a video in one go, so that memory holds a few images at once."""
         if any(isinstance(frame.image, VideoFrame) for frame in frames):
             return self._check_video(frames)
-        return in_parallel(
-            self._check_file, [frame.image.path for frame in frames if isinstance(frame.image, ImageFile)]
-        )
+        files = [(frame.image.path, frame.quarters) for frame in frames if isinstance(frame.image, ImageFile)]
+        return in_parallel(lambda file: self._check_file(*file), files)
 
     def gray(self, frames: Sequence[RawFrame], long_side: int) -> Iterator[tuple[RawFrame, Gray]]:
         """Frames that have passed the check, in order, each with its image (H, W) scaled down to the long side. A
@@ -49,17 +49,20 @@ class ImageReader:
         if of_video:
             path = next(frame.image.path for frame in frames if isinstance(frame.image, VideoFrame))
             for index, decoded in decode(path, set(of_video), self.limits):
-                yield of_video[index], shrunk(_working_gray(decoded), long_side)
+                frame = of_video[index]
+                yield frame, turned_pixels(shrunk(_working_gray(decoded), long_side), frame.quarters)
             return
         files = [(frame, frame.image.path) for frame in frames if isinstance(frame.image, ImageFile)]
-        yield from in_parallel(lambda file: (file[0], self._gray(file[1], long_side)), files)
+        yield from in_parallel(
+            lambda file: (file[0], turned_pixels(self._gray(file[1], long_side), file[0].quarters)), files
+        )
 
     def _gray(self, path: Path, long_side: int) -> Gray:
         return np.asarray(shrunk(decode_gray(self._bytes(path), WORKING_LONG_SIDE), long_side), np.uint8)
 
-    def _check_file(self, path: Path) -> ImageCheck | str:
+    def _check_file(self, path: Path, quarters: int) -> ImageCheck | str:
         try:
-            return check_image(self._bytes(path), self.limits.max_megapixels)
+            return _turned(check_image(self._bytes(path), self.limits.max_megapixels), quarters)
         except BadImage as error:
             return str(error)
 
@@ -72,7 +75,7 @@ class ImageReader:
             while at < ref.index and (decoded := next(images, None)) is not None:
                 at, image = decoded
                 # A frame has no file to hash until it's written.
-                check = measured(_working_gray(image), image.width, image.height)
+                check = _turned(measured(_working_gray(image), image.width, image.height), frames[0].quarters)
             if check is not None and at == ref.index:
                 yield check
             else:
@@ -93,6 +96,11 @@ class ImageReader:
         except (OSError, RuntimeError) as error:  # RuntimeError: a loop of links
             inside = next((path.relative_to(root) for root in self.roots if path.is_relative_to(root)), path)
             raise BadImage(f"image {inside} can't be read: {getattr(error, 'strerror', None) or error}") from None
+
+
+def _turned(check: ImageCheck, quarters: int) -> ImageCheck:
+    """What was measured of an image, after quarter turns."""
+    return replace(check, width=check.height, height=check.width) if quarters % 2 else check
 
 
 def _working_gray(frame: av.VideoFrame) -> Gray:

@@ -54,12 +54,12 @@ def first_row(width: int, height: int, stated: str | None, quarters: int) -> Ima
 
 
 def turned_pixels(image: NDArray[np.uint8], quarters: int) -> NDArray[np.uint8]:
-    """An image (H, W, 3) turned by quarters clockwise."""
+    """An image (H, W) or (H, W, 3) turned by quarters clockwise."""
     return np.ascontiguousarray(np.rot90(image, -quarters))
 
 
 def _turned_pose(frame: RawFrame, quarters: int) -> RawFrame:
-    assert frame.vio_T_cam is not None  # a session has no rows without
+    assert frame.vio_T_cam is not None  # up is known of sessions with poses alone
     return replace(frame, vio_T_cam=frame.vio_T_cam @ inverse(np.linalg.matrix_power(_CLOCKWISE, quarters)))
 
 
@@ -67,4 +67,13 @@ def _turned_camera(camera: Intrinsics, height: int) -> Intrinsics:
     """Intrinsics after a quarter turn clockwise of an image of this height: x becomes y, y becomes height - x."""
     k1, k2, p1, p2, *rest = (*camera.distortion, 0.0, 0.0, 0.0, 0.0)[: max(4, len(camera.distortion))]
     distortion = (k1, k2, p2, -p1, *rest) if camera.distortion else ()
-    return Intrinsics(camera.fy, camera.fx, height - camera.cy, camera.cx, camera.height, camera.width, distortion)
+    return replace(
+        camera,
+        fx=camera.fy,
+        fy=camera.fx,
+        cx=height - camera.cy,
+        cy=camera.cx,
+        width=camera.height,
+        height=camera.width,
+        distortion=distortion,
+    )

@@ -1,6 +1,7 @@
 """Video as a source of images: times without decoding, frames one by one in the order of display."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
@@ -14,6 +15,9 @@ from groundwalk.store import UserError
 
 # Pixel formats whose first plane is the brightness, a byte a pixel.
 _BRIGHTNESS_FIRST = {f"yuv{j}{chroma}p" for j in ("", "j") for chroma in (420, 422, 444)} | {"nv12", "nv21", "gray"}
+_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm")
+# Perceptual quantiser and hybrid log-gamma (ITU-R BT.2100), by their numbers in ITU-T H.273.
+_HDR_TRANSFERS = (16, 18)
 # Phones write a key frame every second or so: seeking over less decodes the same frames again.
 _MIN_GAP_S = 3.0
 
@@ -33,6 +37,36 @@ def frame_times(path: Path, limits: Limits) -> NDArray[np.int64]:
     if not times:
         raise UserError("a video holds no frame", where=path)
     return np.array([round(t * ticks_ns) for t in times], dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class StoredImage:
+    """How a video's images are stored: size in pixels, the quarter turns clockwise that show them upright, whether
+    their brightness is coded for HDR."""
+
+    width: int
+    height: int
+    quarters: int
+    is_hdr: bool
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file's name is that of a video."""
+    return path.suffix.lower() in _SUFFIXES and path.is_file()
+
+
+def stored_image(path: Path, limits: Limits) -> StoredImage:
+    """How a video's images are stored, by its first frame; UserError where it has none."""
+    try:
+        with av.open(path) as container:
+            frame = next(container.decode(_stream(container, path, limits)), None)
+    except (av.FFmpegError, OSError) as error:
+        raise _unreadable(path, error) from None
+    if frame is None:
+        raise UserError("a video holds no frame", where=path)
+    # Displays turn anticlockwise by the angle of the container's matrix.
+    quarters = round(-frame.rotation / 90) % 4
+    return StoredImage(frame.width, frame.height, quarters, frame.color_trc in _HDR_TRANSFERS)
 
 
 def require_row_per_frame(path: Path, log: str, rows: int, limits: Limits) -> None:

@@ -27,6 +27,8 @@ BUILTIN: dict[str, dict[str, str]] = {
             "cambridge",
             "colmap",
             "nerfstudio",
+            "photos",
+            "video",
         )
     },
     "groundwalk.mappers": {

@@ -48,7 +48,7 @@ class ImageSide(StrEnum):
 
 class Clock(StrEnum):
     """What times count from. `frame_index`: from the first frame, at the rate that the capture states for all of them.
-    `name_order`: nothing; images without times, which stand 1 s apart in the order of their names."""
+    `name_order`: nothing; images without times, which stand 1 s apart in the order of their names, or EXIF's dates."""
 
     BOOT = "boot"
     UNIX = "unix"
@@ -64,10 +64,11 @@ class Clock(StrEnum):
 
 
 class PoseSource(StrEnum):
-    """Whose poses a capture has: the phone's odometry, or a data set's reference."""
+    """Whose poses a capture has: the phone's odometry, a data set's reference, or none, as photos and videos."""
 
     VIO = "vio"
     REFERENCE = "reference"
+    NONE = "none"
 
 
 class CameraOrigin(StrEnum):

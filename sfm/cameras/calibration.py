@@ -40,7 +40,7 @@ from groundwalk.store.parallel import one_thread
 from groundwalk.store.tables import poses_of
 
 # k1 and k2 of phones' main cameras (docs/explanation/sfm.md, Cameras), in OpenCV's convention, and their covariance.
-_PHONE = np.array([0.08, -0.12])
+PHONE_K1_K2 = np.array([0.08, -0.12])
 _PHONE_COVARIANCE = np.array([[0.05**2, -0.8 * 0.05 * 0.08], [-0.8 * 0.05 * 0.08, 0.08**2]])
 # What a capture states is meant to be right.
 _STATED_SD = np.array([0.005, 0.01])
@@ -172,7 +172,7 @@ def prior_lenses(frames: pd.DataFrame, device_of_session: dict[str, str], settin
             covariance[:2, :2] = np.eye(2) / EXACT_INFORMATION
             k3_sd = 1 / np.sqrt(EXACT_INFORMATION)
         elif not distortion.any():
-            coefficients[:2], origin, k3_sd = _PHONE, CameraOrigin.PRIOR, _K3_SD
+            coefficients[:2], origin, k3_sd = PHONE_K1_K2, CameraOrigin.PRIOR, _K3_SD
             covariance[:2, :2] = _PHONE_COVARIANCE
         readout_s, stated_readout_s = 0.0, None
         if settings.readout_s is not None:

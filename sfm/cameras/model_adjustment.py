@@ -53,7 +53,7 @@ class CameraLog:
     """The cameras of N frames before a model of them is adjusted.
 
     `intrinsics` (N, 4), `readout_line` (N, 3) as in `Cameras`, `session` (N,) names, `t_s` (N,) on each session's
-    clock, and vio_T_cam (N, 4, 4).
+    clock, vio_T_cam (N, 4, 4), and `focal_sd` (N,) of the focal lengths where cameras don't log them.
     """
 
     intrinsics: Array
@@ -61,6 +61,7 @@ class CameraLog:
     session: np.ndarray
     t_s: Array
     vio_T_cam: Array
+    focal_sd: Array
     calibration: Calibration
     motion: Motion
 
@@ -80,6 +81,7 @@ def camera_log(
         frames["session_id"].to_numpy(str),
         frames["t_ns"].to_numpy(np.int64) * 1e-9,
         poses_of(frames, "vio_cam"),
+        frames["focal_sd"].to_numpy(float),
         prior_lenses(frames, device_of_session, settings),
         motion_by_vio(frames, log, jumps),
     )
@@ -250,11 +252,13 @@ def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSetting
     mean = replace(cameras, coefficients=coefficients, readout_s=np.array([one.prior_readout_s for one in prior]))
     has_vio = np.bincount(lens, np.isfinite(log.vio_T_cam[rows, 0, 3])) > 0
     longer_px = np.array([2 * cameras.intrinsics[lens == number, 2:].max() for number in range(len(lenses))])
+    log_focal_sd = np.full(len(sessions), _LOG_FOCAL_SD)
+    np.maximum.at(log_focal_sd, session, log.focal_sd[rows])
     is_fixed = settings.refine_cameras == "never"
     priors = CameraPriors(
         mean,
         np.array([_lens_covariance(one, radius) for one in prior]),
-        np.full(len(sessions), EXACT_SD if is_fixed else _LOG_FOCAL_SD),
+        np.full(len(sessions), EXACT_SD) if is_fixed else log_focal_sd,
         np.full(len(sessions), EXACT_SD if is_fixed else _FOCUS_SD),
         np.tile(log.motion.angular_sd[rows, None], 3),
         np.where(has_vio, _CENTRE_SD, _GUESSED_CENTRE_SD) * longer_px,

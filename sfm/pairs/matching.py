@@ -127,7 +127,7 @@ class _Image:
 def _images(database: pycolmap.Database, pairs: list[list[int]]) -> dict[int, _Image]:
     return {
         row: _Image(
-            database.read_camera(image_id(row)),
+            database.read_camera(database.read_image(image_id(row)).camera_id),
             database.read_keypoints(image_id(row))[:, :2].astype(float),
             database.read_descriptors(image_id(row)).data.astype(np.float32),
         )

@@ -71,15 +71,12 @@ def test_a_shipped_scene_takes_no_part_and_what_stops_a_stage_keeps_its_status(
     assert {step.scene for step in asked} == {"Church-capture"} and asked[0].command == "import"
 
 
-def test_photos_alone_and_no_folder_are_said_in_a_sentence(tmp_path: Path) -> None:
-    photos = tmp_path / "photos" / "day 1"
-    photos.mkdir(parents=True)
-    for name in ("a.JPG", "b.heic", "c.mov"):
-        (photos / name).touch()
+def test_an_empty_folder_and_none_are_said_in_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
     out = tmp_path / "out"
-    with pytest.raises(UserError, match=r"(?s)photos or videos alone: without the phone's poses.*capture-formats"):
-        judge(photos.parent, "--out", out)
-    assert "photos or videos alone" in (out / "page.html").read_text() and not (out / "data").exists()
+    with pytest.raises(UserError, match="the folder is empty"):
+        judge(tmp_path / "empty", "--out", out)
+    assert "the folder is empty" in (out / "page.html").read_text() and not (out / "data").exists()
     assert json.loads((out / "verdict.json").read_text())["verdict"] == "unreadable"
     with pytest.raises(UserError, match="there is no such folder"):
         judge(tmp_path / "nowhere")

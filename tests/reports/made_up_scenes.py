@@ -102,8 +102,8 @@ class MadeUpScene:
             cx=32.0, cy=24.0, distortion=cells([] for _ in range(len(frames))),
             gravity_x=1.0, gravity_y=0.0, gravity_z=0.0, tracking="normal", first_row="top",
             sharpness=0.5,
-            stated_readout_s=None, exposure_s=0.01, blurred_faces=None, blurred_plates=None, support=False,
-            depth=None, depth_confidence=None, depth_sha256=None,
+            stated_readout_s=None, focal_sd=0.0, exposure_s=0.01, blurred_faces=None, blurred_plates=None,
+            support=False, depth=None, depth_confidence=None, depth_sha256=None,
         )  # fmt: skip
         # A support frame, which SfM didn't register: no figure of the report may count it.
         support = imported.iloc[[0]].assign(frame_id="walk_1/000900", t_ns=SECOND // 2, support=True)

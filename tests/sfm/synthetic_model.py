@@ -25,7 +25,11 @@ def log_of(model: pycolmap.Reconstruction, settings: SfmSettings | None = None) 
     focal = [camera.mean_focal_length() for camera in cameras]
     frames = frames.assign(first_row="top", fx=focal, fy=focal, cx=cameras[0].width / 2, cy=cameras[0].height / 2)
     frames = frames.assign(
-        width=cameras[0].width, height=cameras[0].height, distortion=cells([[0.0] * 4] * 6), stated_readout_s=np.nan
+        width=cameras[0].width,
+        height=cameras[0].height,
+        distortion=cells([[0.0] * 4] * 6),
+        stated_readout_s=np.nan,
+        focal_sd=0.0,
     )
     log = frames[["session_id", "t_ns", *pose_frame("vio_cam", poses).columns]]
     return camera_log(frames, {"walk": "phone"}, log, log[:0], settings or SfmSettings(lens="stated"))

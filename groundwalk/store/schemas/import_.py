@@ -15,7 +15,11 @@ from groundwalk.store.choices import (
 )
 from groundwalk.store.schemas import Column, TableSchema, pose_columns
 
-_SESSION = Column("session_id", "string", "recording; a part of one where VIO jumped (`walk`, `walk.part2`)")
+_SESSION = Column(
+    "session_id",
+    "string",
+    "recording; a part of one where VIO jumped (`walk`, `walk.part2`), or of one camera of several (`walk.camera2`)",
+)
 _TIME = Column(
     "t_ns",
     "int64",
@@ -43,6 +47,11 @@ TABLES = [
             Column("cx", "float64", "principal point, x; the first pixel's outer corner is 0", "px"),
             Column("cy", "float64", "principal point, y; the first pixel's outer corner is 0", "px"),
             Column("distortion", "list<float64>", "OpenCV's k1, k2, p1, p2, k3, ...; empty: none"),
+            Column(
+                "focal_sd",
+                "float64",
+                "standard error of fx and fy, as a fraction, where they are EXIF's or a guess; 0: as logged",
+            ),
             Column(
                 "first_row",
                 "string",
@@ -89,7 +98,7 @@ TABLES = [
                 nullable=True,
             ),
         ],
-        version="2.4",
+        version="2.5",
     ),
     TableSchema(
         "import",
@@ -117,14 +126,14 @@ TABLES = [
             Column(
                 "pose_source",
                 "string",
-                "whose poses they are; those of a reference are in table `reference`",
+                "whose poses they are; those of a reference are in table `reference`; none: photos or a video alone",
                 nullable=True,
                 choices=PoseSource,
             ),
             Column(
                 "reference_unit",
                 "string",
-                "unit of the reference poses, unknown where their file states none; null for VIO",
+                "unit of the reference poses, unknown where their file states none; null where there are none",
                 nullable=True,
                 choices=LengthUnit,
             ),

@@ -22,8 +22,7 @@ from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.store import DataRoot, UserError, execute
 from tests.known import there
 
-# Those that import doesn't read as it should yet, and Record3D's, which tests of gravity and plausibility are about.
-NOT_YET = {"photos_only", "video_only"}
+# Record3D's, which tests of gravity and plausibility are about.
 ELSEWHERE = {"record3d_without_poses", "record3d_relative_to_start"}
 
 
@@ -73,7 +72,7 @@ def names_of(raw: Recording) -> list[str]:
 def test_each_layout_is_tested_or_listed(cases: ModuleType) -> None:
     text = Path(__file__).read_text(encoding="utf-8")
     assert {name for name in cases.CASES if f'"{name}"' not in text} == set()
-    assert set(cases.CASES) >= NOT_YET | ELSEWHERE
+    assert set(cases.CASES) >= ELSEWHERE
 
 
 @pytest.mark.parametrize(
@@ -106,6 +105,20 @@ def test_models_and_transforms_give_all_poses(
     camera = there(raw.frames[0].intrinsics)
     assert (camera.fx, camera.fy) == pytest.approx((361.9136, 361.9136), abs=1e-3)
     assert (camera.cx, camera.cy) == pytest.approx((240, 180), abs=10)
+
+
+@pytest.mark.parametrize(
+    ("name", "format_id", "recording"), [("photos_only", "photos", "photos_only"), ("video_only", "video", "IMG_0001")]
+)
+def test_images_alone_are_a_capture(make: Make, name: str, format_id: str, recording: str) -> None:
+    folder, unusable = make(name), list[str]()
+    raw = read_one(folder)
+    assert (raw.format, raw.recording_id, raw.pose_source) == (format_id, recording, "none") and not raw.rejects
+    assert len(raw.frames) == 24 and all(frame.vio_T_cam is None for frame in raw.frames)
+    assert raw.clock.has_times == (name == "video_only")
+    lines = list(inspect_capture(folder, unusable=unusable))
+    assert not unusable and any("24 sound, 480x360" in line for line in lines)
+    assert any("no scale and no vertical" in line for line in lines)
 
 
 def test_the_larger_of_two_models_is_read(make: Make, truth: np.ndarray) -> None:

@@ -408,6 +408,7 @@ def test_tables_of_cameras_have_a_row_each_and_no_sigma_where_none_was_estimated
         np.array(["walk-1", "walk-2"])[cameras.session],
         cameras.t_s,
         adjusted.bundle.sfm_T_cam,
+        np.zeros(_FRAMES),
         Calibration(known, of_frame),
         Motion(still, np.ones(_FRAMES), still, np.ones(_FRAMES, bool)),
     )

@@ -158,6 +158,7 @@ def scene(folder: Path) -> tuple[FloorSource, Path, Array]:
             "height": SIZE[1],
             "first_row": "top",
             "stated_readout_s": np.nan,
+            "focal_sd": 0.0,
             "fx": FOCAL_PX,
             "fy": FOCAL_PX,
             "cx": SIZE[0] / 2,

@@ -1,0 +1,206 @@
+"""A folder of photos by any camera, without poses: JPEG or PNG, as they come from a phone.
+
+EXIF is documented in CIPA DC-008. What matters:
+
+- pixels are stored as the sensor has them; `Orientation` says how to turn them, and import does;
+- `FocalLengthIn35mmFilm` has the diagonal's field of view of a 24x36 mm film, in whole millimetres; cameras with a
+  large sensor state `FocalLength` and the sensor's pixels a unit (`FocalPlaneXResolution`). Both are of the whole
+  picture: a cropped one says nothing, a smaller one still holds;
+- dates are of a clock that anybody may set, in whole seconds mostly: an order, not times;
+- cameras are told apart by maker, model, lens, focal length and size; their names and places don't leave import.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import PIL.ExifTags
+import PIL.Image
+
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import.data_sets import guessed_intrinsics
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import images_in
+from groundwalk.capture_import.media.images import BadImage, image_size
+from groundwalk.capture_import.media.video import is_video
+from groundwalk.capture_import.parsing import BadRow, read_rows, seconds_to_ns
+from groundwalk.store.choices import Clock, PoseSource
+from groundwalk.store.text import name_list
+
+_FOLDERS = ("images", "input", "frames", "photos")
+_MIN_PHOTOS = 3
+# EXIF's orientations that are quarter turns clockwise; the others are mirrored.
+_QUARTERS = {1: 0, 6: 1, 3: 2, 8: 3}
+# Of a focal length by EXIF: whole millimetres of 24 to 28, and some makers mean the width, not the diagonal. Without
+# EXIF, phones' are 0.7 to 0.9 of the longer side, other cameras' 1 to 3, of which COLMAP assumes 1.2.
+_EXIF_SD, GUESS_SD = 0.05, 0.5
+_FILM_DIAGONAL_MM = math.hypot(36, 24)
+_MM_OF_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}
+_MAX_ASPECT = 2.4  # of a camera's picture; panoramas are wider
+_SAME_ASPECT = 0.02
+
+
+@dataclass(frozen=True)
+class _Photo:
+    """A photo's file, size in pixels as stored, turns, focal length in pixels (None: not stated), camera and date."""
+
+    file: Path
+    width: int
+    height: int
+    orientation: int
+    focal_px: float | None
+    camera: str
+    has_maker: bool
+    date: str
+
+
+def detect(path: Path) -> bool:
+    """Three images or more, in a folder or in its `images`, `input`, `frames` or `photos`."""
+    return path.is_dir() and len(images_in(_images_folder(path))) >= _MIN_PHOTOS
+
+
+def read(path: Path, limits: Limits) -> Recording:
+    """The photos in the order in which they were taken, where all are dated and of one camera, or of their names."""
+    folder = _images_folder(path)
+    read, rejects = read_rows([(file.name, file) for file in images_in(folder)], lambda _, __, file: _photo(file))
+    has_makers = sum(photo.has_maker for photo in read) >= len(read) / 2
+    dated = all(photo.date for photo in read) and len({photo.camera.partition("|")[0] for photo in read}) == 1
+    photos = sorted(read, key=lambda photo: photo.date) if dated else read
+    rows = [(photo.file.name, photo) for photo in photos]
+    frames, bad = read_rows(rows, lambda index, source, photo: _row(index, source, photo, has_makers))
+    return Recording(
+        "unknown",
+        Clock.NAME_ORDER,
+        path,
+        frames,
+        [*rejects, *bad],
+        pose_source=PoseSource.NONE,
+        is_gravity_aligned=False,
+        is_metric=False,
+        has_intrinsics=False,
+        notes=_notes(path, folder, frames, dated),
+    )
+
+
+def _images_folder(path: Path) -> Path:
+    inside = (path / name for name in _FOLDERS)
+    return path if images_in(path) else next((folder for folder in inside if images_in(folder)), path)
+
+
+def _photo(file: Path) -> _Photo:
+    try:
+        with file.open("rb") as opened:
+            start = opened.read(64)
+        with PIL.Image.open(file) as image:
+            (width, height), exif = image.size, image.getexif()
+            details = exif.get_ifd(PIL.ExifTags.IFD.Exif)
+    except PIL.UnidentifiedImageError:
+        try:
+            image_size(start)
+        except BadImage as error:
+            raise BadRow(str(error)) from None
+        raise BadRow("image is broken") from None
+    except (OSError, ValueError, SyntaxError, PIL.Image.DecompressionBombError) as error:
+        raise BadRow(f"image can't be read: {error}") from None
+    base = PIL.ExifTags.Base
+    maker = [_text(exif.get(tag)) for tag in (base.Make, base.Model)]
+    focal_mm = [_number(details.get(tag)) for tag in (base.FocalLengthIn35mmFilm, base.FocalLength)]
+    size = f"{max(width, height)}x{min(width, height)}"
+    lens = (_text(details.get(base.LensModel)), f"{focal_mm[0] or focal_mm[1]:g}", size)
+    date = _text(details.get(base.DateTimeOriginal))
+    return _Photo(
+        file=file,
+        width=width,
+        height=height,
+        orientation=int(_number(exif.get(base.Orientation)) or 1),
+        focal_px=_focal_px(details, width, height),
+        camera="|".join([" ".join(maker), *lens]),
+        has_maker=any(maker),
+        date=f"{date}.{_text(details.get(base.SubsecTimeOriginal))}" if date else "",
+    )
+
+
+def _row(index: int, source: str, photo: _Photo, has_makers: bool) -> RawFrame:
+    width, height = photo.width, photo.height
+    if max(width, height) > _MAX_ASPECT * min(width, height):
+        raise BadRow(f"image of {width}x{height} is a panorama: no lens has such a projection")
+    if has_makers and not photo.has_maker and photo.file.suffix.lower() == ".png":
+        raise BadRow("PNG without a camera in its EXIF, among photos that have one: a screenshot or a drawing")
+    if photo.orientation not in _QUARTERS:
+        raise BadRow(f"EXIF says that the image is stored mirrored (orientation {photo.orientation})")
+    quarters = _QUARTERS[photo.orientation]
+    if quarters % 2:
+        width, height = height, width
+    f = photo.focal_px
+    camera = guessed_intrinsics(width, height, GUESS_SD)
+    if f is not None:
+        camera = Intrinsics(f, f, width / 2, height / 2, width, height, focal_sd=_EXIF_SD)
+    return RawFrame(
+        number=index,
+        source=source,
+        t_ns=seconds_to_ns(index),
+        vio_T_cam=None,
+        image=ImageFile(photo.file),
+        intrinsics=camera,
+        quarters=quarters,
+        camera=photo.camera,
+    )
+
+
+def _focal_px(details: dict[int, Any], width: int, height: int) -> float | None:
+    """The focal length in pixels of an image of this size; None where EXIF doesn't say, or it isn't plausible."""
+    base = PIL.ExifTags.Base
+    whole = [_number(details.get(tag)) for tag in (base.ExifImageWidth, base.ExifImageHeight)]
+    if all(whole) and abs(max(whole) / min(whole) / (max(width, height) / min(width, height)) - 1) > _SAME_ASPECT:
+        return None
+    film_mm, focal_mm, density = (
+        _number(details.get(tag)) for tag in (base.FocalLengthIn35mmFilm, base.FocalLength, base.FocalPlaneXResolution)
+    )
+    if film_mm:
+        focal_px = film_mm * math.hypot(width, height) / _FILM_DIAGONAL_MM
+    else:
+        unit_mm = _MM_OF_UNIT.get(int(_number(details.get(base.FocalPlaneResolutionUnit)) or 2), 25.4)
+        focal_px = focal_mm * density / unit_mm * (max(width, height) / max(whole) if all(whole) else 1.0)
+    return focal_px if 0.3 < focal_px / max(width, height) < 20 else None
+
+
+def _number(value: Any) -> float:
+    """A number of EXIF; 0 where there is none, or it means none."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return 0.0
+    return number if math.isfinite(number) and number > 0 else 0.0
+
+
+def _text(value: Any) -> str:
+    return str(value).strip("\0 ") if value is not None else ""
+
+
+def _notes(path: Path, folder: Path, frames: Sequence[RawFrame], dated: bool) -> list[str]:
+    cameras = Counter(frame.camera for frame in frames)
+    stated = sum(frame.intrinsics is not None and frame.intrinsics.focal_sd < GUESS_SD for frame in frames)
+    notes = [
+        f"{len(frames)} photos without poses, by {len(cameras)} camera{'s' * (len(cameras) != 1)} (maker, lens, size), "
+        f"in the order of {'their dates' if dated else 'their names'}; focal length by EXIF of {stated}, unknown of "
+        f"{len(frames) - stated}"
+    ]
+    others = [f"{len(images_in(p))} images of {p.name}/" for p in path.glob("*/") if p != folder and images_in(p)]
+    if videos := [p.name for p in folder.iterdir() if is_video(p)]:
+        others.append(f"{len(videos)} videos (--format video reads them alone)")
+    return [*notes, f"not read: {name_list(others, 4)}"] if others else notes
+
+
+FORMAT = Format(
+    id="photos",
+    label="photos",
+    meaning="images",
+    files=("*.jpg|*.png",),
+    looks_for="three photos or more, in a folder or its images/, input/, frames/ or photos/, and no log of poses",
+    detect=detect,
+    read=read,
+    is_images_alone=True,
+)

@@ -1,0 +1,60 @@
+"""A video by any phone or drone, without poses: MP4, MOV and others that FFmpeg reads.
+
+What matters: pixels are stored as the sensor has them, and the container says how to turn them; frames come at any
+rate, each with its time; nothing says how wide the lens is, and stabilisation crops the image on top.
+"""
+
+from pathlib import Path
+
+from groundwalk.capture_import.capture import Limits, RawFrame, Recording, VideoFrame
+from groundwalk.capture_import.data_sets import guessed_intrinsics
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.formats.photos import GUESS_SD
+from groundwalk.capture_import.media.video import frame_times, is_video, stored_image
+from groundwalk.store.choices import Clock, PoseSource
+
+
+def read(path: Path, limits: Limits) -> Recording:
+    """All frames of a video; import uses the sharpest around each tick."""
+    times = frame_times(path, limits)
+    stored = stored_image(path, limits)
+    width, height = (stored.height, stored.width) if stored.quarters % 2 else (stored.width, stored.height)
+    frames = [
+        RawFrame(
+            number=index,
+            source=f"{path.name} frame {index}",
+            t_ns=int(t_ns),
+            vio_T_cam=None,
+            image=VideoFrame(path, index),
+            intrinsics=guessed_intrinsics(width, height, GUESS_SD),
+            quarters=stored.quarters,
+        )
+        for index, t_ns in enumerate(times)
+    ]
+    notes = [f"{len(frames)} frames without poses, focal length unknown"]
+    if stored.is_hdr:
+        notes.append("the video is HDR: its images are pale, as no tone mapping is applied")
+    return Recording(
+        "unknown",
+        Clock.VIDEO,
+        path.parent,
+        frames,
+        pose_source=PoseSource.NONE,
+        is_gravity_aligned=False,
+        is_metric=False,
+        has_intrinsics=False,
+        notes=notes,
+    )
+
+
+FORMAT = Format(
+    id="video",
+    label="video",
+    meaning="video",
+    files=("*.mp4|*.mov",),
+    looks_for="a video file, and no log of poses",
+    detect=is_video,
+    read=read,
+    is_file=True,
+    is_images_alone=True,
+)

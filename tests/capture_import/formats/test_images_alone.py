@@ -1,0 +1,200 @@
+"""Photos and videos without poses: EXIF, cameras, turns, order, what is left out, and when they are looked for."""
+
+import io
+from datetime import datetime, timedelta
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pandas as pd
+import PIL.ExifTags
+import PIL.Image
+import pytest
+
+from groundwalk.capture_import.capture import Limits, Recording
+from groundwalk.capture_import.definition import STAGE
+from groundwalk.capture_import.discovery import find_recordings
+from groundwalk.capture_import.inspection import inspect_capture
+from groundwalk.store import DataRoot, UserError, execute
+from tests.capture_import.capture_writers import image
+from tests.known import there
+
+WIDTH, HEIGHT = 320, 240
+BASE = PIL.ExifTags.Base
+
+
+def write_photo(
+    path: Path, index: int = 0, turns: int = 0, size: tuple[int, int] = (WIDTH, HEIGHT), **exif: object
+) -> None:
+    """A picture as it's to be seen, stored so many quarter turns anticlockwise; EXIF's tags by their names."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    stored = np.rot90(image(index, *size)[..., ::-1], turns)
+    content = PIL.Image.Exif()
+    details = content.get_ifd(PIL.ExifTags.IFD.Exif)
+    for name, value in exif.items():
+        (content if name in ("Make", "Model", "Orientation") else details)[BASE[name]] = value
+    content[BASE.ExifOffset] = details
+    buffer = io.BytesIO()
+    PIL.Image.fromarray(np.ascontiguousarray(stored)).save(
+        buffer, "PNG" if path.suffix == ".png" else "JPEG", quality=95, exif=content
+    )
+    path.write_bytes(buffer.getvalue())
+
+
+def read_one(folder: Path, format_name: str = "auto") -> Recording:
+    (found,) = find_recordings(folder, folder.parent / "unpacked", Limits(), format_name)
+    return found.read(Limits())
+
+
+def imported(data: Path, place: str = "place") -> dict[str, pd.DataFrame]:
+    folder = execute(STAGE, place, "tiny", DataRoot(data))
+    return {path.stem: pd.read_parquet(path) for path in folder.glob("*.parquet")} | {"at": pd.DataFrame([folder])}
+
+
+@pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (6, 1), (3, 2), (8, 3)])
+def test_orientation_is_applied_once(tmp_path: Path, orientation: int, turns: int) -> None:
+    place = tmp_path / "captures" / "place"
+    for n in range(6):
+        write_photo(place / f"IMG_{n}.jpg", n, turns, Orientation=orientation)
+    frames = imported(tmp_path)["frames"]
+    assert len(frames) == 6 and set(zip(frames["width"], frames["height"], strict=True)) == {(WIDTH, HEIGHT)}
+    assert (frames[["cx", "cy"]] == [WIDTH / 2, HEIGHT / 2]).all(axis=None)
+    for n, name in enumerate(frames["image"]):
+        run = tmp_path / "runs" / "tiny" / "place" / "import"
+        data = (run / name.removeprefix("import:") if name.startswith("import:") else place / name).read_bytes()
+        with PIL.Image.open(io.BytesIO(data)) as shown:
+            assert shown.getexif().get(BASE.Orientation, 1) == 1
+            error = np.abs(np.asarray(shown, float) - image(n, WIDTH, HEIGHT)[..., ::-1])
+        assert error.mean() < 25  # of 80 where it is turned otherwise; JPEG blurs colours
+
+
+def test_cameras_are_grouped_and_their_names_stay(tmp_path: Path) -> None:
+    place = tmp_path / "captures" / "place"
+    secret = {"Make": "Maker", "Model": "SecretPhone 7", "LensModel": "SecretLens"}
+    for n in range(4):
+        write_photo(place / f"a{n}.jpg", n, FocalLengthIn35mmFilm=26, **secret)
+        write_photo(place / f"b{n}.jpg", 10 + n, turns=1, Orientation=6, FocalLengthIn35mmFilm=26, **secret)
+        write_photo(place / f"c{n}.jpg", 20 + n, FocalLengthIn35mmFilm=13, **secret)
+        # 5 mm on a sensor of 500 pixels a centimetre, of which the photo is a copy of half the size.
+        plane = {"FocalPlaneXResolution": 500.0, "FocalPlaneResolutionUnit": 3, "ExifImageWidth": 640}
+        write_photo(place / f"d{n}.jpg", 30 + n, Model="Other", FocalLength=10.0, ExifImageHeight=480, **plane)
+        # Cropped to another shape: EXIF says nothing of it.
+        write_photo(
+            place / f"e{n}.jpg", 40 + n, Model="Crop", FocalLengthIn35mmFilm=26, ExifImageWidth=400, ExifImageHeight=240
+        )
+    tables = imported(tmp_path)
+    sessions, frames = tables["sessions"], tables["frames"]
+    assert list(sessions["session_id"]) == ["place", *(f"place.camera{k}" for k in (2, 3, 4))]
+    assert list(sessions["frames"]) == [8, 4, 4, 4] and list(sessions["device"]) == [
+        f"camera {k}" for k in (1, 2, 3, 4)
+    ]
+    assert set(sessions["pose_source"]) == {"none"} and sessions["reference_unit"].isna().all()
+    assert len(tables["reference"]) == len(tables["vio"]) == 0 and frames["vio_cam_tx"].isna().all()
+    diagonal = np.hypot(WIDTH, HEIGHT) / np.hypot(36, 24)
+    for session, focal_px, sd in zip(
+        sessions["session_id"], (26 * diagonal, 13 * diagonal, 250.0, 1.2 * WIDTH), (0.05, 0.05, 0.05, 0.5), strict=True
+    ):
+        rows = frames[frames["session_id"] == session]
+        assert rows["fx"].to_numpy() == pytest.approx(focal_px) and set(rows["focal_sd"]) == {sd}
+    run = tmp_path / "runs" / "tiny" / "place" / "import"
+    assert not any(b"Secret" in path.read_bytes() for path in run.rglob("*") if path.is_file())
+
+
+def test_dates_are_an_order_and_not_times(tmp_path: Path) -> None:
+    start = datetime(2024, 5, 1, 12)
+    for n in range(6):
+        date = (start + timedelta(seconds=-n // 2)).strftime("%Y:%m:%d %H:%M:%S")
+        write_photo(
+            tmp_path / "dated" / f"{n}.jpg", n, Model="P", DateTimeOriginal=date, SubsecTimeOriginal=f"{9 - n}0"
+        )
+        write_photo(tmp_path / "names" / f"IMG_{n + 8}.jpg", n, Model="P", **({"DateTimeOriginal": date} if n else {}))
+    dated, names = read_one(tmp_path / "dated"), read_one(tmp_path / "names")
+    assert [frame.source for frame in dated.frames] == [f"{n}.jpg" for n in reversed(range(6))]
+    assert [frame.source for frame in names.frames] == [f"IMG_{n}.jpg" for n in range(8, 14)]
+    assert not dated.clock.has_times and "the order of their dates" in dated.notes[0]
+
+
+def test_what_is_no_photo_is_named(tmp_path: Path) -> None:
+    for n in range(4):
+        write_photo(tmp_path / "place" / f"IMG_{n}.jpg", n, Model="P")
+    write_photo(tmp_path / "place" / "Screenshot.png", 5)
+    write_photo(tmp_path / "place" / "pano.jpg", 6, size=(900, 200), Model="P")
+    write_photo(tmp_path / "place" / "selfie.jpg", 7, Model="P", Orientation=2)
+    (tmp_path / "place" / "IMG_9.HEIC").write_bytes(b"\0\0\0\x18ftypheic" + bytes(100))
+    (tmp_path / "place" / "empty.jpg").touch()
+    (tmp_path / "place" / "IMG_1.MOV").touch()
+    raw = read_one(tmp_path / "place")
+    assert len(raw.frames) == 4
+    reasons = {reject.source: reject.reason for reject in raw.rejects}
+    for name, part in {
+        "Screenshot.png": "a screenshot",
+        "pano.jpg": "is a panorama",
+        "selfie.jpg": "mirrored",
+        "IMG_9.HEIC": "convert it",
+        "empty.jpg": "image is empty",
+    }.items():
+        assert part in reasons.pop(name)
+    assert not reasons and any("1 videos" in note for note in raw.notes)
+
+
+@pytest.mark.parametrize("name", ["images", "input", "frames", "photos", "."])
+def test_photos_are_found_in_the_usual_folders(tmp_path: Path, name: str) -> None:
+    for n in range(3):
+        write_photo(tmp_path / "walk" / name / f"{n}.jpg", n)
+        write_photo(tmp_path / "walk" / "images_2" / f"{n}.jpg", n)
+    (found,) = find_recordings(tmp_path / "walk", tmp_path / "unpacked", Limits())
+    raw = found.read(Limits())
+    assert (found.recording_id, raw.format, len(raw.frames)) == ("walk", "photos", 3)
+    assert any("3 images of images_2/" in note for note in raw.notes)
+
+
+def test_photos_beside_a_log_are_read_only_where_asked_for(tmp_path: Path) -> None:
+    for n in range(3):
+        write_photo(tmp_path / "walk" / f"{n}.jpg", n)
+    (tmp_path / "walk" / "log.json").write_text('{"cameraPose": [1, 0, 0]}')
+    with pytest.raises(UserError, match=r'(?s)log\.json seems to hold poses.*format = "photos"'):
+        read_one(tmp_path / "walk")
+    assert len(read_one(tmp_path / "walk", "photos").frames) == 3
+
+
+def write_video(path: Path, times_s: list[float], rotation: int = 0, blur: float = 0.0) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(path), "w", format="mov") as container:
+        stream = container.add_stream("libx264", rate=30, options={"crf": "10"})
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        stream.codec_context.time_base = stream.time_base = Fraction(1, 600)
+        stream.set_display_rotation(rotation)
+        for n, time_s in enumerate(times_s):
+            picture = image(n, WIDTH, HEIGHT)
+            if blur:
+                picture = cv2.GaussianBlur(picture, (0, 0), blur)
+            frame = av.VideoFrame.from_ndarray(picture, "bgr24")
+            frame.pts, frame.time_base = round(time_s * 600), Fraction(1, 600)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+
+
+@pytest.mark.parametrize(("rotation", "turns"), [(0, 0), (-90, 1), (180, 2), (90, 3)])
+def test_a_video_is_turned_and_has_its_own_times(tmp_path: Path, rotation: int, turns: int) -> None:
+    place = tmp_path / "captures" / "place"
+    times_s = [0.0, 0.4, 1.5, 1.6, 2.2, 3.9, 4.0, 5.5]  # of a variable rate
+    write_video(place / "IMG_0001.MOV", times_s, rotation)
+    tables = imported(tmp_path)
+    frames = tables["frames"]
+    size = (HEIGHT, WIDTH) if turns % 2 else (WIDTH, HEIGHT)
+    assert set(zip(frames["width"], frames["height"], strict=True)) == {size} and set(frames["clock"]) == {"video"}
+    assert list(tables["sessions"]["session_id"]) == ["IMG_0001"] and len(frames) == len(times_s)
+    assert frames["t_ns"].to_numpy() * 1e-9 == pytest.approx(times_s, abs=0.002)
+    run = tmp_path / "runs" / "tiny" / "place" / "import"
+    for n, name in enumerate(frames["image"]):
+        shown = there(cv2.imread(str(run / name.removeprefix("import:"))))
+        assert np.abs(shown.astype(float) - np.rot90(image(n, WIDTH, HEIGHT), -turns)).mean() < 25
+
+
+def test_a_video_without_a_sharp_frame_is_refused(tmp_path: Path) -> None:
+    write_video(tmp_path / "walk" / "a.mp4", [n / 10 for n in range(10)], blur=4.0)
+    unusable: list[str] = []
+    lines = list(inspect_capture(tmp_path / "walk", unusable=unusable))
+    assert unusable == ["a"] and any("none of 10 images is sharp" in line for line in lines)
