@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, Reject
+from groundwalk.capture_import.capture import Intrinsics, Limits, Reject
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.lens import rational_of_fisheye
 from groundwalk.geometry.poses import Array, pose_from_tq
