@@ -144,17 +144,13 @@ def _sentence(what: str, more: str | None) -> str:
 
 
 def _of_images_alone(frames: pd.DataFrame) -> str:
-    """What a map of images without poses is: its lengths have no unit but its extent."""
-    placed = frames[frames["quality"] != QualityClass.NONE]
-    extent = float(np.linalg.norm(np.ptp(placed[["x", "y", "z"]].to_numpy(float), axis=0)))
-    known = placed[placed["position_sd"].notna()]
-    text = f"images alone, without scale or vertical: {len(placed)} of {len(frames)} are in the map"
-    if len(known) and extent > 0:
-        text += (
-            f", to {100 * known['position_sd'].median() / extent:.2g} % of its extent and "
-            f"{known['rotation_sd_deg'].median():.2g}° (one sigma, medians)"
-        )
-    return f"{text}. Nothing but the images themselves checks it: look-alike places may be one in it"
+    """What a map of images without poses is; how exact it is nothing but the images says, and where places look alike
+    they are wrong by metres and sure of it."""
+    placed = (frames["quality"] != QualityClass.NONE).sum()
+    return (
+        f"images alone, without scale or vertical: {placed} of {len(frames)} are in the map. Nothing but the images "
+        "checks it, so no sigma is said: look-alike places may be one in it"
+    )
 
 
 def _frames(scene: SceneInputs) -> pd.DataFrame:
@@ -180,6 +176,8 @@ def _frames(scene: SceneInputs) -> pd.DataFrame:
     table["travelled"] = np.concatenate(
         [[], *(_along(walked[rows]) for rows in frames.groupby("session_id").indices.values())]
     )
+    if scene.is_images_alone and scene.unit is not MapUnit.METRE:
+        table[["position_sd", "rotation_sd_deg"]] = np.nan
     if scene.true_T_cam is not None:
         errors = pd.Series(_true_residuals(scene)[0], scene.ground_truth["frame_id"])
         table["true_error"] = errors.reindex(table["frame_id"]).to_numpy()
