@@ -108,6 +108,21 @@ def test_uncertain_scale_or_too_few_sure_frames_leave_it_undecided(make_run: Mak
     } in (verdict["problems"])
 
 
+def test_of_a_map_of_images_alone_no_sigma_is_said(make_run: MakeRun) -> None:
+    data = make_run(Yard={"train": 12, "test": 8})
+    sessions = table_of(data, "Yard", "import", "sessions").assign(pose_source="none")
+    rewrite(data, "Yard", "import", "sessions", sessions)
+    rewrite(data, "Yard", "align", "residuals", table_of(data, "Yard", "align", "residuals").iloc[:0])
+    truth = table_of(data, "Yard", "align", "ground_truth").assign(scale_source="none")
+    rewrite(data, "Yard", "align", "ground_truth", truth)
+    for name in LATER:
+        shutil.rmtree(data.run("tiny", "Yard", name))
+    page, verdict = judged(data, "Yard")
+    assert verdict["verdict"] == "undecided" and "without scale or vertical: 39 of 40 are in the map" in verdict["why"]
+    assert {frame["position_sd"] for frame in verdict["frames"]} == {None}
+    assert "look-alike places may be one in it" in page
+
+
 def test_a_refused_capture_says_why_and_what_to_do(make_run: MakeRun) -> None:
     data = make_run(simulated=False, Yard={"train": 12, "test": 8})
     run = data.run("tiny", "Yard")
