@@ -18,7 +18,8 @@ from groundwalk.geometry.poses import Array, pose_from_tq
 from groundwalk.store import UserError
 from groundwalk.store.files import leads_outside
 
-Row, Frame = TypeVar("Row"), TypeVar("Frame")
+Row = TypeVar("Row")
+Frame = TypeVar("Frame")
 
 # A world with +z up, seen with +y up.
 YUP_T_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

@@ -45,7 +45,7 @@ class ControlSettings(Settings):
 def controls_of(tables: Any) -> list[ControlSettings]:
     """The `[[control]]` tables as settings; UserError says which one is wrong and how."""
     if not isinstance(tables, list) or not all(isinstance(table, dict | ControlSettings) for table in tables):
-        raise UserError("control points are a list of tables", found=tables, expected="[[control]] ...")
+        raise UserError("controls, the control points, are a list of tables", found=tables, expected="[[control]] ...")
     controls = [
         table
         if isinstance(table, ControlSettings)

@@ -91,6 +91,8 @@ def _images_folder(path: Path) -> Path:
 
 
 def _photo(file: Path) -> _Photo:
+    if not file.is_file():  # a pipe has no end
+        raise BadRow("image is no file")
     try:
         with file.open("rb") as opened:
             start = opened.read(64)

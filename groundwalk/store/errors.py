@@ -3,6 +3,8 @@
 from functools import partial
 from typing import Any
 
+_MAX_PATH = 1000  # of a path as it is shown; a damaged log may name longer ones
+
 
 class UserError(Exception):
     """Something in the user's input, settings or machine that stops the work.
@@ -26,7 +28,10 @@ class UserError(Exception):
 
     def __str__(self) -> str:
         lines = [self.what]
-        lines += [f"  {name + ':':<10}{value}" for name, value in self.details.items() if value is not None]
+        texts = {name: str(value) for name, value in self.details.items() if value is not None}
+        if len(texts.get("where", "")) > _MAX_PATH:
+            texts["where"] = f"{texts['where'][:_MAX_PATH]} … ({len(texts['where'])} characters)"
+        lines += [f"  {name + ':':<10}{text}" for name, text in texts.items()]
         return "\n".join(lines)
 
     def __reduce__(self) -> tuple[object, ...]:

@@ -19,6 +19,7 @@ from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.capture_import.tables import rejects_table
 from groundwalk.geometry.poses import rigidity_error
 from groundwalk.store import UserError
+from groundwalk.store.choices import PoseSource
 from tests.capture_import.capture_mutations import mutate
 from tests.capture_import.capture_writers import WRITERS, make_walk
 
@@ -54,7 +55,8 @@ def read_all(root: Path, unpacked: Path) -> bool:
             rejects_table(sessions)
             for session in sessions:
                 assert (np.diff(session.t_ns) > 0).all()
-                assert rigidity_error(session.poses).max(initial=0) < 1e-9
+                if raw.pose_source != PoseSource.NONE:  # of a capture without its log images alone may be left
+                    assert rigidity_error(session.poses).max(initial=0) < 1e-9
                 for image in session.images:
                     camera = image.camera
                     assert 0 < camera.cx < image.check.width

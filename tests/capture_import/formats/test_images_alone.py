@@ -4,6 +4,7 @@ import io
 from datetime import datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -22,7 +23,7 @@ from tests.capture_import.capture_writers import image
 from tests.known import there
 
 WIDTH, HEIGHT = 320, 240
-BASE = PIL.ExifTags.Base
+BASE: Any = PIL.ExifTags.Base
 
 
 def write_photo(
@@ -72,13 +73,13 @@ def test_orientation_is_applied_once(tmp_path: Path, orientation: int, turns: in
 
 def test_cameras_are_grouped_and_their_names_stay(tmp_path: Path) -> None:
     place = tmp_path / "captures" / "place"
-    secret = {"Make": "Maker", "Model": "SecretPhone 7", "LensModel": "SecretLens"}
+    secret: dict[str, Any] = {"Make": "Maker", "Model": "SecretPhone 7", "LensModel": "SecretLens"}
     for n in range(4):
         write_photo(place / f"a{n}.jpg", n, FocalLengthIn35mmFilm=26, **secret)
         write_photo(place / f"b{n}.jpg", 10 + n, turns=1, Orientation=6, FocalLengthIn35mmFilm=26, **secret)
         write_photo(place / f"c{n}.jpg", 20 + n, FocalLengthIn35mmFilm=13, **secret)
         # 5 mm on a sensor of 500 pixels a centimetre, of which the photo is a copy of half the size.
-        plane = {"FocalPlaneXResolution": 500.0, "FocalPlaneResolutionUnit": 3, "ExifImageWidth": 640}
+        plane: dict[str, Any] = {"FocalPlaneXResolution": 500.0, "FocalPlaneResolutionUnit": 3, "ExifImageWidth": 640}
         write_photo(place / f"d{n}.jpg", 30 + n, Model="Other", FocalLength=10.0, ExifImageHeight=480, **plane)
         # Cropped to another shape: EXIF says nothing of it.
         write_photo(
@@ -109,7 +110,8 @@ def test_dates_are_an_order_and_not_times(tmp_path: Path) -> None:
         write_photo(
             tmp_path / "dated" / f"{n}.jpg", n, Model="P", DateTimeOriginal=date, SubsecTimeOriginal=f"{9 - n}0"
         )
-        write_photo(tmp_path / "names" / f"IMG_{n + 8}.jpg", n, Model="P", **({"DateTimeOriginal": date} if n else {}))
+        dated_photo: dict[str, Any] = {"DateTimeOriginal": date} if n else {}
+        write_photo(tmp_path / "names" / f"IMG_{n + 8}.jpg", n, Model="P", **dated_photo)
     dated, names = read_one(tmp_path / "dated"), read_one(tmp_path / "names")
     assert [frame.source for frame in dated.frames] == [f"{n}.jpg" for n in reversed(range(6))]
     assert [frame.source for frame in names.frames] == [f"IMG_{n}.jpg" for n in range(8, 14)]
