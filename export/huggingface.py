@@ -75,7 +75,8 @@ def write_huggingface(dataset: Dataset, folder: Path, images: Images) -> list[st
             for part in np.array_split(rows, -(-len(rows) // _ROWS)):
                 writer.write_table(_part(dataset, columns, part, fields))
         if images != "none":
-            placed = [path if row in set(rows.tolist()) else at for row, at in enumerate(placed)]
+            for row in rows:
+                placed[row] = path
     described = COLUMNS | ({"image": "the image as captured, or as blurred"} if images != "none" else {})
     (folder / "README.md").write_text(card(dataset, files, described), encoding="utf-8")
     write_json(folder / "croissant.json", croissant(dataset, folder, files, described))
@@ -102,5 +103,4 @@ def _feature(field: pa.Field) -> dict[str, Any]:
         return {"_type": "Image"}
     if pa.types.is_list(field.type):
         return {"feature": _feature(field.type.value_field), "_type": "List"}
-    names = {"double": "float64", "large_string": "large_string"}
-    return {"dtype": names.get(str(field.type), str(field.type)), "_type": "Value"}
+    return {"dtype": "float64" if pa.types.is_float64(field.type) else str(field.type), "_type": "Value"}

@@ -5,7 +5,6 @@ The workflow is written from what stages declare that they need (`groundwalk.sto
 want of it; the stages themselves know whether they have anything to do, and go on from their checkpoints.
 """
 
-import html
 import importlib.util
 import json
 import shlex
@@ -19,9 +18,10 @@ from typing import Annotated, Any
 
 import pandas as pd
 import typer
+from markupsafe import Markup
 from rich.table import Table
 
-from groundwalk.cli import stage_of
+from groundwalk.cli import all_commands, stage_of
 from groundwalk.pipeline import Step, check, is_step_up_to_date, steps
 from groundwalk.store import progress
 from groundwalk.store.__main__ import link_folder
@@ -82,6 +82,8 @@ def campaign(
     A scene that fails stops no other one. The same command again does what is left. The workflow, logs, a table of all
     stages (campaign.parquet) and a page sorted by what needs a person are in data/campaigns/<name of the CSV>.
     """
+    from groundwalk.reports.runs_index import write_index
+
     root = DataRoot(data)
     folder = root.root / "campaigns" / checked_name("scene", table.stem)
     if not status:
@@ -90,6 +92,7 @@ def campaign(
             write_workflow(folder, jobs, problems, root)
             failed = _snakemake(folder, cores or usable_cores(), context.args) if jobs else 0
     outcome = write_report(folder, root)
+    write_index(root)
     _show(outcome, folder)
     if not status and (failed or (outcome["state"] != State.DONE).any()):
         raise typer.Exit(1)
@@ -100,12 +103,14 @@ def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str
     one."""
     jobs: dict[str, Job] = {}
     problems: dict[str, str] = {}
+    seen: set[str] = set()
     for number, row in enumerate(_rows(table), start=2):
         scene = row["scene"]
         of_scene = f"{row.get('profile', profile)}/{scene}"
-        if of_scene in problems or any(job.startswith(f"{of_scene}/") for job in jobs):
+        if of_scene in seen:
             problems[f"{of_scene} (line {number})"] = f"the scene stands twice in {table.name}"
             continue
+        seen.add(of_scene)
         try:
             if captures := row.get("captures"):
                 link_folder(data, scene, table.parent / Path(captures).expanduser())
@@ -199,11 +204,13 @@ rule stage_{command}:
 
 def _shell(command: str, data: DataRoot) -> str:
     """What a job does, as text of the workflow. What a stage refuses it refuses each time: it isn't tried again, and
-    the report says so. The log is no `log` of Snakemake's, which removes these before another attempt."""
-    groundwalk = f"OMP_NUM_THREADS={{threads}} {shlex.quote(sys.executable)} -P -m groundwalk"
+    the report says so. The log is no `log` of Snakemake's, which removes these before another attempt. Packages' own
+    commands leave the page of all runs alone, which the campaign writes once."""
+    python = f"OMP_NUM_THREADS={{threads}} {shlex.quote(sys.executable)} -P -m"
+    packages = {one.name: f"groundwalk.{one.module.rpartition('.')[0]}" for one in all_commands()}
     options = f"--scene {{wildcards.scene:q}} --profile {{wildcards.profile:q}} --data {shlex.quote(str(data.root))}"
-    run = f"{groundwalk} {command} {options} > $log 2>&1"
-    report = f" {groundwalk} report --force {options} > $log.report 2>&1 || true;"
+    run = f"{python} {packages[command]} {options} > $log 2>&1"
+    report = f" {python} {packages['report']} --force {options} > $log.report 2>&1 || true;"
     after = "" if command in ("simulate", "import", "report") else report
     return repr(
         f"log={{params.log:q}}; [ ! -e $log.refused ] || exit 2; mkdir -p $(dirname $log); status=0; "
@@ -291,28 +298,27 @@ def _is_running(final: Path) -> bool:
 
 
 def _page(table: pd.DataFrame, folder: Path, data: DataRoot) -> str:
+    # Here, as most commands need no page.
+    from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row, html_table
+    from groundwalk.reports.templating import plain_page
+
     counts = table["state"].value_counts()
-    rows = []
-    for row in table.to_dict("records"):
-        scene, profile, message = (html.escape(str(row[name])) for name in ("scene", "profile", "message"))
-        report = data.run(row["profile"], row["scene"], "report") / "page.html" if row["stage"] else folder
-        link = f'<a href="{html.escape(report.as_uri())}">{scene}</a>' if report.is_file() else scene
-        took = (f"{row[name]:,.0f}" if row[name] == row[name] else "" for name in ("seconds", "peak_memory_mib"))
-        cells = (link, profile, row["stage"], row["state"], *took, f"<pre>{message}</pre>")
-        rows.append(f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>")
-    summary = ", ".join(f"{counts.get(state, 0)} {state}" for state in State)
-    head = "".join(f"<th>{name}</th>" for name in ("scene", "profile", "stage", "state", "s", "MiB", "message"))
-    return _PAGE.format(name=html.escape(folder.name), summary=summary, head=head, rows="\n".join(rows))
-
-
-_PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<title>Campaign {name}</title><style>body{{font:15px system-ui;margin:2em}}td,th{{padding:.2em .7em;text-align:left;
-vertical-align:top}}pre{{margin:0;white-space:pre-wrap}}:root{{color-scheme:light dark}}</style>
-<h1>Campaign {name}</h1><p>Stages: {summary}. What needs a person stands first.</p>
-<table><thead><tr>{head}</tr></thead><tbody>
-{rows}
-</tbody></table></html>
-"""
+    names = ("scene", "profile", "stage", "state", "seconds", "peak_memory_mib", "message")
+    rows = [
+        Row(tuple(f"{v:,.0f}" if isinstance(v, float) else str(v) for v in row), OURS)
+        for row in table[[*names]].astype(object).where(table[[*names]].notna(), EMPTY).itertuples(index=False)
+    ]
+    caption = f"{', '.join(f'{counts.get(state, 0)} {state}' for state in State)}; those that need attention come first"
+    columns = tuple(("", name) for name in (*names[:4], "s", "MiB", "message"))
+    grid = Grid("stages", "Stages", f"{caption}.", columns, (Block("", tuple(rows)),), 4)
+    links = Markup()
+    for scene, profile in (
+        table.loc[table["stage"] != "", ["scene", "profile"]].drop_duplicates().itertuples(index=False)
+    ):
+        report = data.run(profile, scene, "report") / "page.html"
+        if report.is_file():
+            links += Markup('<a href="{}">{}</a> ').format(report.as_uri(), f"{scene}, {profile}")
+    return plain_page(folder.name, "campaign", [Markup(html_table(grid)), Markup("<p>Reports: {}</p>").format(links)])
 
 
 def _show(outcome: pd.DataFrame, folder: Path) -> None:

@@ -119,7 +119,7 @@ def _state(scene: SceneInputs, frames: pd.DataFrame) -> tuple[State, str]:
         return State.REFUSED, _sentence(scene.stopped["what"], scene.stopped.get("found"))
     if "align" not in scene.stages:
         return State.OPEN, "ground truth hasn't been made yet: run the stage align"
-    if scene.is_images_alone and scene.unit is not MapUnit.METRE:
+    if scene.is_images_alone:
         return State.UNDECIDED, _of_images_alone(frames)
     return state_of(scene.align_checks, frames["quality"])
 
@@ -176,7 +176,7 @@ def _frames(scene: SceneInputs) -> pd.DataFrame:
     table["travelled"] = np.concatenate(
         [[], *(_along(walked[rows]) for rows in frames.groupby("session_id").indices.values())]
     )
-    if scene.is_images_alone and scene.unit is not MapUnit.METRE:
+    if scene.is_images_alone:
         table[["position_sd", "rotation_sd_deg"]] = np.nan
     if scene.true_T_cam is not None:
         errors = pd.Series(_true_residuals(scene)[0], scene.ground_truth["frame_id"])

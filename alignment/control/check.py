@@ -79,11 +79,25 @@ class ControlCheck:
         return np.asarray(np.sqrt(np.trace(self.fit.held_out_covariance, axis1=1, axis2=2)))
 
     @property
+    def held_out(self) -> Mask:
+        """(K,) points that a fit of the others judges."""
+        return np.asarray(np.isfinite(self.error_m))
+
+    @property
+    def rms_m(self) -> tuple[float, float]:
+        """The root mean square of `error_m` and of `expected_m`; NaN where no point is judged."""
+        rows = self.held_out
+        if not rows.any():
+            return float("nan"), float("nan")
+        error, expected = (float(np.sqrt(np.mean(values[rows] ** 2))) for values in (self.error_m, self.expected_m))
+        return error, expected
+
+    @property
     def within_bounds(self) -> Mask:
         """(K,) held-out points that are within their 95 % bounds."""
         within = np.zeros(len(self.used), dtype=bool)
         if self.fit is not None:
-            rows = np.isfinite(self.error_m)
+            rows = self.held_out
             error, covariance = self.fit.held_out[rows], self.fit.held_out_covariance[rows]
             within[rows] = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error) <= _CHI2_95
         return within
@@ -138,13 +152,12 @@ def check_control(
         return replace(check, fit=None, result=_result(points, subject, Status.FAILED, fault))
     wrong = _wrong(points, mapped, similar, usable_points & ~used)
     mapped.remarks.update(wrong)
-    if np.isnan(check.error_m).all():
+    if not check.held_out.any():
         why = f"only {int(used.sum())} points agree, too few to hold half of them out"
         status = Status.FAILED if wrong else Status.UNDECIDED
         return replace(check, result=_result(points, subject, status, _listed(points, wrong) or why))
-    errors, expected = check.error_m[used], check.expected_m[used]
-    rms = float(np.sqrt(np.mean(errors**2)))
-    sd = float(np.sqrt(np.mean(expected**2) / (2 * len(errors))))
+    rms, expected = check.rms_m
+    sd = expected / np.sqrt(2 * check.held_out.sum())
     status = Status.FAILED if wrong else decide(rms, sd, limit)
     reason = f"held-out points are {1000 * rms:.1f} mm off (RMS), limit {1000 * limit:g} mm; {describe_figures(check)}"
     return replace(check, result=_result(points, subject, status, _listed(points, wrong) or reason, Quantity(rms, sd)))
@@ -161,13 +174,13 @@ def describe_figures(check: ControlCheck) -> str:
     """Errors, scale and tilt in words; empty without a fit."""
     if check.fit is None:
         return ""
-    parts, held_out = [], np.isfinite(check.error_m)
-    if held_out.any():
-        errors, worst = check.error_m[held_out], int(np.nanargmax(check.error_m))
-        rms, expected = (np.sqrt(np.mean(values[held_out] ** 2)) for values in (check.error_m, check.expected_m))
+    parts = []
+    if check.held_out.any():
+        worst, (rms, expected) = int(np.nanargmax(check.error_m)), check.rms_m
         parts.append(
-            f"held out {1000 * rms:.1f} mm RMS (expected {1000 * expected:.1f}), worst {1000 * errors.max():.1f} mm at "
-            f"{check.points.names[worst]}, {np.mean(check.within_bounds[held_out]):.0%} within 95 % bounds"
+            f"held out {1000 * rms:.1f} mm RMS (expected {1000 * expected:.1f}), "
+            f"worst {1000 * check.error_m[worst]:.1f} mm at {check.points.names[worst]}, "
+            f"{np.mean(check.within_bounds[check.held_out]):.0%} within 95 % bounds"
         )
     is_metric = check.fit.survey_S_map.scale == 1.0
     value, sd = check.scale

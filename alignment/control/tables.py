@@ -24,8 +24,7 @@ def control_table(checks: Sequence[ControlCheck]) -> pd.DataFrame:
 
 
 def _row(check: ControlCheck) -> dict[str, object]:
-    fit, errors = check.fit, check.error_m[np.isfinite(check.error_m)]
-    expected = check.expected_m[np.isfinite(check.error_m)]
+    fit, errors, (rms, expected_rms) = check.fit, check.error_m[check.held_out], check.rms_m
     survey_S_map = None if fit is None else fit.survey_S_map
     pose = (
         np.full((4, 4), np.nan) if survey_S_map is None else make_pose(survey_S_map.rotation, survey_S_map.translation)
@@ -36,10 +35,10 @@ def _row(check: ControlCheck) -> dict[str, object]:
         else (float(np.sqrt(np.linalg.eigvalsh(fit.covariance[part, part])[-1])) for part in (slice(0, 3), slice(3, 6)))
     )
     figures = {
-        "rms_m": _rms(errors),
+        "rms_m": rms,
         "worst_m": float(errors.max()) if len(errors) else np.nan,
-        "expected_rms_m": _rms(expected),
-        "within_bounds": float(check.within_bounds[np.isfinite(check.error_m)].mean()) if len(errors) else np.nan,
+        "expected_rms_m": expected_rms,
+        "within_bounds": float(check.within_bounds[check.held_out].mean()) if len(errors) else np.nan,
         "map_scale": np.nan if survey_S_map is None else survey_S_map.scale,
         "scale": check.scale[0],
         "scale_sd": check.scale[1],
@@ -93,8 +92,8 @@ def draw_control(path: Path, checks: Sequence[ControlCheck], map_xyz: Array) -> 
         at, fit = check.mapped.xyz, check.fit
         axes.plot(*at[check.used][:, ::2].T, "o", color="tab:blue", label="agree")
         axes.plot(*at[~check.used][:, ::2].T, "x", color="tab:red", label="don't, or aren't used")
-        if fit is not None and np.isfinite(check.error_m).any():
-            rows = np.isfinite(check.error_m)
+        if fit is not None and check.held_out.any():
+            rows = check.held_out
             error = fit.held_out[rows] @ fit.survey_S_map.rotation / fit.survey_S_map.scale
             factor = (
                 _ARROW * float(np.ptp(at[rows], axis=0).max()) / max(float(np.linalg.norm(error, axis=1).max()), 1e-12)
@@ -112,7 +111,3 @@ def draw_control(path: Path, checks: Sequence[ControlCheck], map_xyz: Array) -> 
         axes.set_aspect("equal", "datalim")
         axes.legend(fontsize=7)
     figure.savefig(path, dpi=100)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
