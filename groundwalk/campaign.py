@@ -303,14 +303,14 @@ def _page(table: pd.DataFrame, folder: Path, data: DataRoot) -> str:
     from groundwalk.reports.templating import plain_page
 
     counts = table["state"].value_counts()
-    names = ("scene", "profile", "stage", "state", "seconds", "peak_memory_mib", "message")
+    names = ("scene", "profile", "stage", "state", "message", "seconds", "peak_memory_mib")
     rows = [
         Row(tuple(f"{v:,.0f}" if isinstance(v, float) else str(v) for v in row), OURS)
         for row in table[[*names]].astype(object).where(table[[*names]].notna(), EMPTY).itertuples(index=False)
     ]
     caption = f"{', '.join(f'{counts.get(state, 0)} {state}' for state in State)}; those that need attention come first"
-    columns = tuple(("", name) for name in (*names[:4], "s", "MiB", "message"))
-    grid = Grid("stages", "Stages", f"{caption}.", columns, (Block("", tuple(rows)),), 4)
+    columns = tuple(("", name) for name in (*names[:5], "s", "MiB"))
+    grid = Grid("stages", "Stages", f"{caption}.", columns, (Block("", tuple(rows)),), 5)
     links = Markup()
     for scene, profile in (
         table.loc[table["stage"] != "", ["scene", "profile"]].drop_duplicates().itertuples(index=False)
