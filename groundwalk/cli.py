@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from groundwalk.store.cli import new_app, stage_command, stage_help
+from groundwalk.store.cli import new_app, settings_help, stage_command
 from groundwalk.store.settings import DataRoot
 
 
@@ -37,8 +37,11 @@ class Command:
             command: Any = get_command(import_module(f"groundwalk.{self.module}").app)
             return command.commands[self.subcommand] if self.subcommand else command
         app = new_app("")
-        help_text = None if for_completion else stage_help(self.stage())
-        app.command(self.name, help=help_text)(stage_command(self.name, self.stage, _write_index))
+        shown: dict[str, str] = {}
+        if not for_completion:
+            stage = self.stage()
+            shown = {"help": stage.help, "epilog": settings_help(self.name, stage.settings)}
+        app.command(self.name, **shown)(stage_command(self.name, self.stage, _write_index))
         return get_command(app)
 
     def stage(self) -> Any:
@@ -87,7 +90,6 @@ COMMANDS = {
         Command("locate", "Localise images in a map, or by a regressor.", "localisation.locate"),
         Command("evaluate", "Fuse predictions from Parquet files; measure errors.", "fusion.__main__", "evaluate"),
         Command("leaderboard", "Compare all fusion methods scene by scene.", "fusion.__main__", "leaderboard"),
-        Command("fusion", "Leaderboard, evaluate and sweep under one name.", "fusion.__main__"),
         Command("sweep", "Try other thresholds of the MobileARLoc rule.", "fusion.__main__", "sweep"),
         Command(
             "check-truth",

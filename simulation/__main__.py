@@ -24,10 +24,10 @@ _HELP = (
     f"Simulate captures of {', '.join(NAMES)} into data/captures: procedural places, hand-held walks, rendered images, "
     "poses with the drift of a phone. Captures that are there and weren't written by it are never touched."
 )
-app = new_app(f"{_HELP}\n\n{settings_help('simulate', SimulateSettings)}")
+app = new_app("")
 
 
-@app.command()
+@app.command(help=_HELP, epilog=settings_help("simulate", SimulateSettings))
 def main(
     scene: SceneOption,
     profile: ProfileOption = "demo",

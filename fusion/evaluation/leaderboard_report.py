@@ -31,7 +31,7 @@ from groundwalk.store.files import make_writable
 _PAGE, _TABLE, _FIGURE = "fusion.md", "fusion.csv", "fusion_lag.png"
 _HEADER = """# Fusion methods beside each other
 
-Written by `groundwalk fusion leaderboard`; not to be edited. Errors are over all frames with ground truth, in time; a
+Written by `groundwalk leaderboard`; not to be edited. Errors are over all frames with ground truth, in time; a
 frame without a pose counts as failed in medians, percentiles and levels, and means have the coverage beside them.
 `/rule` is a mean error over the paper's rule's in the same scene with the same model, the geometric mean over scenes
 and models. In bounds: share of errors within the method's 95 % bounds, mean over scenes (worst). Levels: (0.25 m, 2°),

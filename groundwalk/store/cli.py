@@ -126,14 +126,9 @@ def new_app(help_text: str, **options: Any) -> App:
 
 def stage_app(stage: "Stage[Any]") -> App:
     """The command line of a stage: without a subcommand it runs the stage."""
-    app = new_app(stage_help(stage))
+    app = new_app(stage.help, epilog=settings_help(stage.name, stage.settings))
     app.callback(invoke_without_command=True)(stage_command(stage.name, lambda: stage))
     return app
-
-
-def stage_help(stage: "Stage[Any]") -> str:
-    """What a stage does, and its settings, as Markdown."""
-    return f"{stage.help}\n\n{settings_help(stage.name, stage.settings)}"
 
 
 def stage_command(
@@ -170,14 +165,14 @@ def stage_command(
 
 
 def settings_help(section: str, model: type[Settings]) -> str:
-    """The settings of a stage as a Markdown list for --help."""
+    """The settings of a stage as a Markdown list, shown below the options of --help."""
     lines = [
-        f"**Settings**, section `[{section}]` of your file data/profiles/<profile>.toml or data/scenes/<scene>.toml, "
-        "or `--set key=value`:",
-        "",
+        f"**Settings**, section `[{section}]` of `data/profiles/<profile>.toml` or `data/scenes/<scene>.toml`, or "
+        f"`--set key=value` (docs/reference/settings.md#{section}):"
     ]
     for name, info in model.model_fields.items():
         default = info.get_default(call_default_factory=True)
         default_text = "" if isinstance(default, Settings) else f" (default {default!r})"
         lines.append(f"- `{name}`{default_text}: {info.description or ''}")
-    return "\n".join(lines)
+    # typer makes one line break of two.
+    return "\n\n".join(lines).replace(":\n\n-", ":\n\n\n\n-", 1)
