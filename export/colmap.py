@@ -21,7 +21,9 @@ def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool =
     """Write the layout; returns the frames' image paths. Frames without ground truth aren't in the model."""
     names: dict[str, str] = {}
     for number, sfm_model in enumerate(dataset.models):
-        names |= _write_model(sfm_model, folder / "sparse" / str(number), text=text)
+        model = model_in_map(sfm_model)
+        write_model(model, folder / "sparse" / str(number), text=text)
+        names |= names_by_frame(model)
     ordered = [names[frame_id] for frame_id in dataset.frames["frame_id"]]
     for split in ("train", "val", "test"):
         named = zip(ordered, dataset.frames["split"], strict=True)
@@ -33,15 +35,14 @@ def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool =
     return [f"images/{name}" for name in ordered]
 
 
-def _write_model(sfm_model: SfmModel, folder: Path, *, text: bool) -> dict[str, str]:
-    """One of SfM's models in the map, without the frames that have no ground truth; returns image names by frame."""
+def model_in_map(sfm_model: SfmModel) -> pycolmap.Reconstruction:
+    """One of SfM's models in the map, with the frames that it names alone. UserError where it lacks one of them."""
     if not sfm_model.folder.is_dir():
         raise UserError("a SfM model is missing", where=sfm_model.folder, do="run the sfm stage again")
     model = pycolmap.Reconstruction(sfm_model.folder)
     to_map = sfm_model.map_S_sfm
     model.transform(pycolmap.Sim3d(to_map.scale, pycolmap.Rotation3d(to_map.rotation), to_map.translation))
-    by_frame = {unquote(str(Path(image.name).with_suffix(""))): image for image in model.images.values()}
-    exported = set(sfm_model.frame_ids)
+    by_frame, exported = {_frame_id(image): image for image in model.images.values()}, set(sfm_model.frame_ids)
     if missing := exported - by_frame.keys():
         raise UserError(
             "a SfM model lacks frames that have ground truth",
@@ -52,6 +53,19 @@ def _write_model(sfm_model: SfmModel, folder: Path, *, text: bool) -> dict[str, 
     for frame_id, image in by_frame.items():
         if frame_id not in exported:
             model.deregister_frame(image.frame_id)
+    return model
+
+
+def write_model(model: pycolmap.Reconstruction, folder: Path, *, text: bool = False) -> None:
+    """Write a model into a new folder."""
     folder.mkdir(parents=True)
     (model.write_text if text else model.write_binary)(folder)
-    return {frame_id: by_frame[frame_id].name for frame_id in sfm_model.frame_ids}
+
+
+def names_by_frame(model: pycolmap.Reconstruction) -> dict[str, str]:
+    """The names of a model's registered images, by frame."""
+    return {_frame_id(model.image(image_id)): model.image(image_id).name for image_id in model.reg_image_ids()}
+
+
+def _frame_id(image: pycolmap.Image) -> str:
+    return unquote(str(Path(image.name).with_suffix("")))

@@ -5,6 +5,7 @@ from functools import partial
 from groundwalk.export.cambridge import write_cambridge
 from groundwalk.export.colmap import write_colmap
 from groundwalk.export.exporters import Exporter, ModelExporter
+from groundwalk.export.hloc import write_hloc
 from groundwalk.export.huggingface import write_huggingface
 from groundwalk.export.nerfstudio import DISTORTION, write_nerfstudio
 from groundwalk.export.seven_scenes import write_seven_scenes
@@ -53,6 +54,13 @@ CAMBRIDGE = Exporter(
     meaning="dataset_train.txt and dataset_test.txt beside the images",
     write=write_cambridge,
     distortion_coefficients=0,
+)
+HLOC = Exporter(
+    id="hloc",
+    label="hloc",
+    meaning="a reference model and lists of queries for hloc's scripts",
+    write=write_hloc,
+    distortion_coefficients=None,
 )
 HUGGINGFACE = Exporter(
     id="huggingface",

@@ -37,7 +37,7 @@ class Command:
             command: Any = get_command(import_module(f"groundwalk.{self.module}").app)
             return command.commands[self.subcommand] if self.subcommand else command
         app = new_app("")
-        shown: dict[str, str] = {}
+        shown: dict[str, Any] = {}
         if not for_completion:
             stage = self.stage()
             shown = {"help": stage.help, "epilog": settings_help(self.name, stage.settings)}

@@ -74,6 +74,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "nerfstudio": "groundwalk.export.entries:NERFSTUDIO",
         "7scenes": "groundwalk.export.entries:SEVEN_SCENES",
         "cambridge": "groundwalk.export.entries:CAMBRIDGE",
+        "hloc": "groundwalk.export.entries:HLOC",
         "huggingface": "groundwalk.export.entries:HUGGINGFACE",
     },
     "groundwalk.model_exporters": {

@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,9 @@ from groundwalk.capture_import.capture import Limits, Recording
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.export import command
 from groundwalk.export.__main__ import app
+from groundwalk.export.dataset import load_dataset
 from groundwalk.export.exporters import EXPORTERS
+from groundwalk.export.hloc import write_hloc
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, make_pose, pose_from_tq, transform
@@ -202,6 +205,35 @@ def _poses(model: pycolmap.Reconstruction, frame_of: dict[str, str]) -> dict[str
         frame_of[f"images/{image.name}"]: inverse(np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]]))
         for image in model.images.values()
     }
+
+
+def test_hloc_gets_a_reference_and_queries(scene: DataRoot) -> None:
+    """Read as its parsers do: blanks between a name, a camera or a pose."""
+    out = _export(scene, "hloc")
+    frame_of, truth, frames = _frame_of(out), _truth(scene), _frames(scene).set_index("frame_id")
+    split = frames["split"]
+    reference = pycolmap.Reconstruction(out / "reference")
+    found = _poses(reference, frame_of)
+    assert {split[frame_id] for frame_id in found} == {"train", "val"} and reference.points3D
+    lists = [(out / f"queries_{name}.txt").read_text().splitlines() for name in ("with_intrinsics", "poses")]
+    for camera, pose in zip(*lists, strict=True):
+        name, model, width, height, *params = camera.split()
+        same, qw, qx, qy, qz, *translation = pose.split()
+        frame_id = frame_of[f"images/{name}"]
+        row = truth.loc[frame_id]
+        assert same == name and split[frame_id] == "test" and (out / "images" / name).is_file()
+        assert (model, int(width), int(height)) == ("OPENCV", *frames.loc[frame_id, ["width", "height"]])
+        expected = [row["fx"], row["fy"], row["cx"], row["cy"], *row["distortion"]]
+        np.testing.assert_allclose(np.array(params, float), expected, atol=1e-6)
+        quaternion = np.array([qx, qy, qz, qw], float)
+        found[frame_id] = inverse(pose_from_tq(np.array(translation, float), quaternion))
+    _assert_same(scene, found)
+
+
+def test_hloc_without_test_frames_is_refused(scene: DataRoot) -> None:
+    dataset = load_dataset(scene, "tiny", "Place")
+    with pytest.raises(UserError, match="0 test frames"):
+        write_hloc(replace(dataset, frames=dataset.frames.assign(split="train")), scene.root / "out", "none")
 
 
 def test_evo_reads_tum(scene: DataRoot) -> None:
