@@ -141,23 +141,11 @@ bench-cited: $(installed) #! The regressors that the paper cites beside PN, few 
 bench-training: $(installed) #! Training steps in images a second of a core, or device=cuda; official=<folder>: beside MS-Transformer's own code (docs/results)
 	@$(py) -m benchmarks.training $(if $(official),--official "$$official") $(if $(device),--device "$$device")
 
-bench-fusion: $(installed) #! Fusion methods on the same walks, with the figures to reach (build/fusion)
-	@$(py) -m benchmarks.fusion $(if $(wildcard build/trained/runs),--data build/trained)
-
 bench-recovery: $(installed) #! How fusion methods bear what goes wrong in a walk, and how they start
 	@$(py) -m benchmarks.fusion_recovery
 
-bench-repeatability: $(installed) #! How repeatable regressors' errors are from walk to walk; predictions=<folder>: published ones, too (docs/results)
-	@$(py) -m benchmarks.regressor_errors.repeatability $(if $(predictions),--predictions "$$predictions")
-
 bench-steps: $(installed) #! What a step of drift_aware costs over a walk of half an hour (docs/results)
 	@$(py) -m benchmarks.fusion_steps
-
-bench-fusion-bound: $(installed) #! What limits drift_aware; predictions=<folder>: published ones of real regressors; tables=<folder>: of a group of walks (docs/results)
-	@$(py) -m benchmarks.fusion_bound $(if $(predictions),--predictions "$$predictions") $(if $(tables),--tables "$$tables")
-
-bench-trained: $(installed) #! Train the regressors of bench-fusion's trained walks (build/trained); an hour and a half
-	@$(py) -m benchmarks.fusion_trained
 
 bench-gates: $(installed) #! Broken and clean simulated captures, and what the checks say of them (docs/results); hours
 	@$(py) -m benchmarks.gates
@@ -204,4 +192,4 @@ help-dev: #! This text
 	@grep -hE '^[a-z-]+:.*#! ' $(MAKEFILE_LIST) | sed 's/:.*#! /\t/' | expand -t 22 | sed 's/^/  /'
 
 .NOTPARALLEL:
-.PHONY: all judge $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-fusion bench-recovery bench-repeatability bench-steps bench-fusion-bound bench-trained bench-gates bench-real bench-cameras bench-import fuzz-import docs docs-site pictures test-page lock help help-dev
+.PHONY: all judge $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-recovery bench-steps bench-gates bench-real bench-cameras bench-import fuzz-import docs docs-site pictures test-page lock help help-dev

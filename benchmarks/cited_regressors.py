@@ -14,7 +14,9 @@ import typer
 
 from benchmarks.regressors import FIGURES, cell, error_figures, link, trained
 from benchmarks.results import circumstances, markdown_table, write_page
-from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
+from groundwalk.fusion.evaluation.evaluate import evaluate
+from groundwalk.fusion.files.walks import Inputs
+from groundwalk.fusion.settings import FuseSettings
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import new_app
 from groundwalk.store.schemas import schema

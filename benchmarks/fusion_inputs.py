@@ -2,13 +2,12 @@
 
 import json
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
@@ -18,21 +17,12 @@ from benchmarks.regressor_errors.model import apr_seeds, read_apr_models, simula
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.checks.jumps import find_jumps
 from groundwalk.capture_import.formats import FORMATS
-from groundwalk.capture_import.splits import split_frames
-from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, learnt
-from groundwalk.fusion.files.walks import evaluated
-from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.gravity import gravity_in_camera
 from groundwalk.geometry.poses import Array, heading, interpolate, inverse, make_pose, yaw_rotation
-from groundwalk.scoring.errors import step_lengths
 from groundwalk.simulation.vio import FITTED, VioModel, simulate_vio, start_frame
-from groundwalk.store import DataRoot
-from groundwalk.store.schemas import schema
-from groundwalk.store.settings import SplitRules
-from groundwalk.store.tables import dataset_frames, read_table
 
-SIMULATED, RECORDED, MEASURED, TRAINED = "simulated", "recorded", "measured", "trained"
+SIMULATED, RECORDED, MEASURED = "simulated", "recorded", "measured"
 KIDNAPPED, BETTER_APR = "kidnapped", "better APR"
 
 _DRIFT = replace(FITTED, interruptions_per_min=0.0)  # import starts a new session where tracking is lost
@@ -43,23 +33,12 @@ _AWAY_S = 60
 
 @dataclass(frozen=True)
 class Case:
-    """Walks of one kind in one scene, with one regressor's predictions, and what held-out frames of training walks tell
-    of its errors, walk by walk (each draw of a simulated regressor is another one)."""
+    """Walks of one kind in one scene, with one regressor's predictions."""
 
     kind: str
     scene: str
     model: str
     walks: tuple[Walk, ...]
-    error_maps: tuple[ErrorMap | None, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Held:
-    """A training walk: true poses map_T_cam (N, 4, 4), and the rows that were held out of training."""
-
-    name: str
-    map_T_cam: Array
-    rows: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,26 +153,10 @@ _KINDS: dict[str, Callable[[str, int], list[Track]]] = {
 
 def simulated_case(kind: str, scene: str, model: str, seeds: Sequence[int]) -> Case:
     """Simulated walks of a kind, with predictions of the error model; each seed is another regressor and phone."""
-    walks, maps = [], []
-    for seed in seeds:
-        regressor = Regressor(scene, model, seed, _amplitude(kind))
-        tracks = _KINDS[kind](scene, seed)
-        walks += [_predicted(track, regressor) for track in tracks]
-        maps += [_learnt(regressor, _held_out(scene))] * len(tracks)
-    return Case(kind, scene, model, tuple(walks), tuple(maps))
-
-
-def held_out_predictions(case: Case) -> Iterator[tuple[str, Array, Array]]:
-    """Name, true poses and predictions (N, 4, 4) of the held-out frames behind a simulated case of one draw, seed 0."""
-    regressor = Regressor(case.scene, case.model, 0, _amplitude(case.kind))
-    for walk in _held_out(case.scene):
-        if len(walk.rows):
-            yield walk.name, walk.map_T_cam[walk.rows], regressor.predict(walk.name, walk.map_T_cam)[walk.rows]
-
-
-def _amplitude(kind: str) -> float:
-    """Of a simulated regressor's errors, over the published one's."""
-    return 0.1 if kind == BETTER_APR else 1.0
+    amplitude = 0.1 if kind == BETTER_APR else 1.0
+    regressors = [Regressor(scene, model, seed, amplitude) for seed in seeds]
+    walks = [_predicted(track, r) for r in regressors for track in _KINDS[kind](scene, r.seed)]
+    return Case(kind, scene, model, tuple(walks))
 
 
 @dataclass(frozen=True)
@@ -209,27 +172,6 @@ class Regressor:
         """Predictions (N, 4, 4) for true poses of a walk; noise and part of the bias differ from walk to walk."""
         errors = read_apr_models()[self.scene, self.model]
         return simulate_apr(map_T_cam, errors, *apr_seeds(self.scene, self.model, self.seed, walk), self.amplitude)
-
-
-@cache
-def _learnt(regressor: Regressor, walks: tuple[Held, ...]) -> ErrorMap | None:
-    """What the regressor's errors on held-out frames tell."""
-    poses = [(regressor.predict(w.name, w.map_T_cam)[w.rows], w.map_T_cam[w.rows]) for w in walks]
-    apr, true = (np.concatenate(part) for part in zip(*poses, strict=True))
-    return ErrorMap.learnt(apr, true, np.repeat([w.name for w in walks], [len(w.rows) for w in walks]))
-
-
-@cache
-def _held_out(scene: str) -> tuple[Held, ...]:
-    """The scene's training walks, with the frames that import holds out for validation."""
-    walks = pose_walks(scene, "train")
-    frames = pd.concat(
-        pd.DataFrame({"session_id": w.name, "recording": w.name, "stated_split": None, "t_ns": w.t_ns})
-        for w in (*walks, *pose_walks(scene, "test"))
-    )
-    split = pd.Series(split_frames(frames.reset_index(drop=True), SplitRules(), by_time=False).of_frame)
-    names = frames["session_id"].to_numpy()
-    return tuple(Held(w.name, w.map_T_cam, np.flatnonzero(split[names == w.name] == "val")) for w in walks)
 
 
 # ---------------------------------------------------------------- recorded odometry
@@ -261,44 +203,9 @@ def measured_tracks(folder: Path) -> list[Track]:
 
 
 def recorded_case(kind: str, tracks: list[Track], scene: str, model: str, seeds: Sequence[int] = (0,)) -> Case:
-    """Recorded walks with predictions as wrong as the regressor was in the scene; each seed is another regressor. Each
-    recording is a place of its own, in which five training walks are made up beside it, with a tenth of each held out
-    as import does."""
-    walks, maps = [], []
-    for seed in seeds:
-        regressor = Regressor(scene, model, seed)
-        walks += [_predicted(track, regressor) for track in tracks]
-        maps += [_learnt(regressor, _walked_beside(track)) for track in tracks]
-    return Case(kind, scene, model, tuple(walks), tuple(maps))
-
-
-_BESIDE = 5  # training walks
-_BESIDE_M, _BESIDE_DEG = 0.7, 10.0  # how far to the side of the path, and from its viewing direction
-
-
-@cache
-def _walked_beside(track: Track) -> tuple[Held, ...]:
-    """The same way walked again, somewhat to the side and looking somewhat elsewhere; the held-out tenth is at another
-    place in each, as import chooses it."""
-    walks = []
-    count = len(track.t_ns)
-    along = np.concatenate([[0.0], np.cumsum(step_lengths(track.map_T_cam)[0])])
-    for k in range(_BESIDE):
-        rng = np.random.default_rng([_seed("beside", track.name), k])
-        side, ahead, yaw = _smooth(rng, along)
-        turn = yaw_rotation(np.radians(_BESIDE_DEG) * yaw)
-        shift = _BESIDE_M * np.stack([side, np.zeros(count), ahead], axis=1)
-        poses = make_pose(turn @ track.map_T_cam[:, :3, :3], track.map_T_cam[:, :3, 3] + shift)
-        size = round(count * SplitRules().val_fraction)
-        first = int(np.clip(round((k + 0.5) / _BESIDE * count - size / 2), 0, count - size))
-        walks.append(Held(f"{track.name}/{k}", poses, np.arange(first, first + size)))
-    return tuple(walks)
-
-
-def _smooth(rng: np.random.Generator, along_m: Array) -> Array:
-    """Three functions (3, N) of the way walked, of unit variance, that change over some ten metres."""
-    frequency, phase = rng.normal(0, 0.1, (3, 32)), rng.uniform(0, 2 * np.pi, (3, 32))
-    return np.asarray(np.cos(frequency[..., None] * along_m + phase[..., None]).sum(axis=1) / 4)
+    """Recorded walks with predictions as wrong as the regressor was in the scene; each seed is another regressor."""
+    walks = [_predicted(track, Regressor(scene, model, seed)) for seed in seeds for track in tracks]
+    return Case(kind, scene, model, tuple(walks))
 
 
 @cache
@@ -374,27 +281,6 @@ _APART = 30  # poses between which a turn is measured for the hand-eye calibrati
 _CLOCKS_S = 0.1  # the two clocks differ by no more
 
 
-# ---------------------------------------------------------------- trained models
-
-
-def trained_cases(data: DataRoot) -> list[Case]:
-    """Test walks of every run that has predictions of trained models."""
-    cases = []
-    for folder in sorted((data.root / "runs").glob("*/*")):
-        if not all((folder / stage / "manifest.json").is_file() for stage in ("import", "align", "train")):
-            continue
-        frames = dataset_frames(read_table(folder / "import" / "frames.parquet", schema("import", "frames")))
-        truth = read_table(folder / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
-        predictions = read_table(folder / "train" / "predictions.parquet", schema("train", "predictions"))
-        for model, rows in predictions.groupby("model", sort=False):
-            rows = pd.DataFrame(rows)
-            walks = tuple(evaluated(folder.name, frames, truth, rows, ["test"]).walks)
-            error_map = learnt(Inputs(folder.name, frames, truth, rows), str(model), FuseSettings())
-            scene = f"{folder.name} ({folder.parent.name})"
-            cases.append(Case(TRAINED, scene, str(model), walks, (error_map,) * len(walks)))
-    return cases
-
-
 # ---------------------------------------------------------------- shared
 
 
@@ -404,7 +290,7 @@ def _predicted(track: Track, regressor: Regressor) -> Walk:
     return predicted_walk(regressor.scene, named, regressor.predict(track.name, track.map_T_cam))
 
 
-def predicted_walk(scene: str, track: Track, map_T_cam_apr: Array) -> Walk:
+def predicted_walk(scene: str, track: Track, map_T_cam_predicted: Array) -> Walk:
     """A walk of a track and predictions (N, 4, 4)."""
     count = len(track.t_ns)
     gravity = np.full((count, 3), np.nan)
@@ -412,7 +298,7 @@ def predicted_walk(scene: str, track: Track, map_T_cam_apr: Array) -> Walk:
     gravity[there] = gravity_in_camera(track.vio_T_cam[there])
     frame_id = np.array([f"{track.name}/{i:06d}" for i in range(count)], dtype=object)
     return Walk(
-        scene, track.name, "test", frame_id, track.t_ns, gravity, track.vio_T_cam, map_T_cam_apr, track.map_T_cam
+        scene, track.name, "test", frame_id, track.t_ns, gravity, track.vio_T_cam, map_T_cam_predicted, track.map_T_cam
     )
 
 

@@ -4,14 +4,13 @@ benchmarks.fusion_recovery`.
 Simulated test walks of the six scenes, with predictions as wrong as the published regressors'. A third of the way in,
 odometry jumps, turns or predictions go wrong. A method has recovered at the first frame whose error is at most 1.5
 times the larger of its error before (mean of 30 s) and of what the same method has at that frame of the walk as it was,
-in position and in rotation. `informed` is what the other predictions allow: the same method told of the trouble, in the
-way that recovers first on this walk. Writes docs/results/fusion_recovery.md and .csv.
+in position and in rotation. Writes docs/results/fusion_recovery.md and .csv.
 """
 
 import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -22,19 +21,13 @@ import typer
 from numpy.typing import NDArray
 
 from benchmarks import fusion_inputs as inputs
-from benchmarks.fusion_scores import OURS, RULE
 from benchmarks.regressor_errors.fit import REGRESSORS
 from benchmarks.results import circumstances, markdown_table
 from groundwalk.fusion.evaluation.fuse import Run, fuse, pose_errors
-from groundwalk.fusion.evaluation.leaderboard import within_bounds
+from groundwalk.fusion.evaluation.leaderboard import RULE, within_bounds
 from groundwalk.fusion.methods import METHODS, resolve_options
-from groundwalk.fusion.methods.drift_aware import DriftAware
-from groundwalk.fusion.methods.error_map import ErrorMap
-from groundwalk.fusion.methods.estimator.alternatives import LOST
-from groundwalk.fusion.methods.estimator.odometry_step import CERTAIN
-from groundwalk.fusion.methods.localiser import Status, Stepping
-from groundwalk.fusion.methods.offline import Offline
-from groundwalk.fusion.walk import Walk, known
+from groundwalk.fusion.methods.localiser import Status
+from groundwalk.fusion.walk import Walk
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.simulation.scenes import NAMES
 from groundwalk.store.cli import new_app
@@ -45,20 +38,19 @@ app = new_app(__doc__ or "")
 
 _BEFORE_S, _AFTER_S, _FACTOR = 30, 60, 1.5
 _START_S = 10.0
-_FOLLOWED = (OURS, "error_state", "last_good", RULE)  # window30 and pose_graph take ten times as long
+_FOLLOWED = ("drift_aware", "error_state", "last_good", RULE)  # window30 and pose_graph take ten times as long
 
 
 @dataclass(frozen=True)
 class Trouble:
     """Something that goes wrong at a frame. spoilt: the walk with it, from a frame on. lasts_s: how long; recovery is
-    counted from its end. within_s: how soon a method should have recovered. loses: which of x, y, z and yaw odometry
-    loses there, if any. rate: frames a second, of which one has a prediction."""
+    counted from its end. within_s: how soon a method should have recovered. rate: frames a second, of which one has a
+    prediction."""
 
     name: str
     spoilt: Callable[[Walk, int, np.random.Generator], Walk]
     lasts_s: int
     within_s: int
-    loses: tuple[bool, bool, bool, bool] | None = None
     rate: int = 1
 
 
@@ -74,27 +66,27 @@ def _relocalisation(walk: Walk, at: int, rng: np.random.Generator) -> Walk:
 
 
 def _silence(walk: Walk, at: int, rng: np.random.Generator) -> Walk:
-    predictions = walk.map_T_cam_apr.copy()
+    predictions = walk.map_T_cam_predicted.copy()
     predictions[at : at + 10] = np.nan
-    return replace(walk, map_T_cam_apr=predictions)
+    return replace(walk, map_T_cam_predicted=predictions)
 
 
 def _outliers(walk: Walk, at: int, rng: np.random.Generator) -> Walk:
     """30 % of the predictions from there on are those of other frames of the walk, turned about."""
-    predictions = walk.map_T_cam_apr.copy()
+    predictions = walk.map_T_cam_predicted.copy()
     gross = at + np.flatnonzero(rng.random(len(walk) - at) < 0.3)
-    predictions[gross] = walk.map_T_cam_apr[rng.permutation(len(walk))[: len(gross)]]
+    predictions[gross] = walk.map_T_cam_predicted[rng.permutation(len(walk))[: len(gross)]]
     predictions[gross, :3, :3] = yaw_rotation(rng.uniform(0, 2 * np.pi, len(gross))) @ predictions[gross, :3, :3]
-    return replace(walk, map_T_cam_apr=predictions)
+    return replace(walk, map_T_cam_predicted=predictions)
 
 
 def _wrong_place(walk: Walk, at: int, rng: np.random.Generator) -> Walk:
     """60 s of perceptual aliasing: predictions move as the phone does, 10 m away and turned by 115 degrees."""
-    predictions = walk.map_T_cam_apr.copy()
+    predictions = walk.map_T_cam_predicted.copy()
     place, turn = walk.map_T_cam[at, :3, 3], yaw_rotation(2.0)
     shift = yaw_rotation(rng.uniform(0, 2 * np.pi)) @ np.array([10.0, 0.0, 0.0])
     predictions[at : at + 60] = make_pose(turn, place + shift - turn @ place) @ predictions[at : at + 60]
-    return replace(walk, map_T_cam_apr=predictions)
+    return replace(walk, map_T_cam_predicted=predictions)
 
 
 def _with_odometry(walk: Walk, at: int, new_T_vio: Array) -> Walk:
@@ -104,12 +96,11 @@ def _with_odometry(walk: Walk, at: int, new_T_vio: Array) -> Walk:
     return replace(walk, vio_T_cam=vio)
 
 
-_PLACE, _HEADING = (True, True, True, False), (False, False, False, True)
 TROUBLES = [
-    Trouble("odometry jumps by 5 m", _jump, 0, 5, _PLACE),
-    Trouble("odometry turns by 30 deg in place", _relocalisation, 0, 5, _HEADING),
-    Trouble("odometry jumps by 5 m, 30 frames a second", _jump, 0, 5, _PLACE, rate=30),
-    Trouble("odometry turns by 30 deg in place, 30 frames a second", _relocalisation, 0, 5, _HEADING, rate=30),
+    Trouble("odometry jumps by 5 m", _jump, 0, 5),
+    Trouble("odometry turns by 30 deg in place", _relocalisation, 0, 5),
+    Trouble("odometry jumps by 5 m, 30 frames a second", _jump, 0, 5, rate=30),
+    Trouble("odometry turns by 30 deg in place, 30 frames a second", _relocalisation, 0, 5, rate=30),
     Trouble("10 s without predictions", _silence, 10, 5),
     Trouble("30 % gross outliers from there on", _outliers, 0, 5),
     Trouble("60 s of perceptual aliasing", _wrong_place, 60, 15),
@@ -130,23 +121,6 @@ class Course:
     beyond: NDArray[np.bool_]
 
 
-class ToldOfLoss(DriftAware):
-    """`drift_aware` that is told when odometry loses its frame, and which of x, y, z and yaw that is."""
-
-    def __init__(self, error_map: ErrorMap | None, t_ns: int, loses: Sequence[bool]) -> None:
-        super().__init__(None, error_map)
-        self._loss_ns, self._loses = t_ns, loses
-
-    def _move(self, t_ns: int, vio_T_cam: Array) -> bool:
-        jumped = super()._move(t_ns, vio_T_cam)
-        if t_ns == self._loss_ns:
-            step = self._odometry_step
-            self._segment += not step.added_variance.any()
-            step.added_variance, step.odds = np.where(self._loses, LOST, step.added_variance), CERTAIN
-            self._quality.lost()
-        return jumped
-
-
 def refined(walk: Walk, rate: int) -> Walk:
     """The walk with `rate` frames for one: odometry and true poses between two frames are interpolated."""
     if rate == 1:
@@ -154,7 +128,7 @@ def refined(walk: Walk, rate: int) -> Walk:
     count = rate * (len(walk) - 1) + 1
     t_ns = np.interp(np.arange(count) / rate, np.arange(len(walk)), walk.t_ns).astype(np.int64)
     predictions = np.full((count, 4, 4), np.nan)
-    predictions[::rate] = walk.map_T_cam_apr
+    predictions[::rate] = walk.map_T_cam_predicted
     return replace(
         walk,
         frame_id=np.array([f"{i // rate}-{i % rate}" for i in range(count)], dtype=object),
@@ -162,17 +136,13 @@ def refined(walk: Walk, rate: int) -> Walk:
         gravity=np.repeat(walk.gravity, rate, axis=0)[:count],
         vio_T_cam=interpolate(walk.t_ns, walk.vio_T_cam, t_ns),
         map_T_cam=interpolate(walk.t_ns, walk.map_T_cam, t_ns),
-        map_T_cam_apr=predictions,
+        map_T_cam_predicted=predictions,
     )
 
 
-def course(walk: Walk, method: str, error_map: ErrorMap | None, rate: int = 1) -> Course:
+def course(walk: Walk, method: str, rate: int = 1) -> Course:
     """Of the frames with a prediction, of which there are so many fewer."""
-    return _course(walk, METHODS[method].localiser(resolve_options(method), error_map), rate)
-
-
-def _course(walk: Walk, localiser: Stepping | Offline, rate: int) -> Course:
-    fused = fuse(Run("", "", ""), walk, localiser)
+    fused = fuse(Run("", "", ""), walk, METHODS[method].make(resolve_options(method)))
     errors = pose_errors(fused.live_map_T_cam, walk.map_T_cam)
     position, rotation = (np.where(np.isnan(error), np.inf, error) for error in errors)
     lost = np.isin(fused.live_status, [Status.LOST, Status.NONE, Status.ALIGNING])
@@ -213,19 +183,18 @@ def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, obj
     scene, model = pair
     case = inputs.simulated_case(inputs.SIMULATED, scene, model, [0])
     rows: list[dict[str, object]] = []
-    for number, (walk, error_map) in enumerate(zip(case.walks, case.error_maps, strict=True)):
+    for number, walk in enumerate(case.walks):
         at = len(walk) // 3
         if at < _BEFORE_S or at + 60 + _AFTER_S > len(walk):
             continue
         for method in methods:
-            plains = {rate: course(refined(walk, rate), method, error_map, rate) for rate in RATES}
+            plains = {rate: course(refined(walk, rate), method, rate) for rate in RATES}
             rows += start_rows(scene, model, walk, method, plains[1])
             for which, trouble in enumerate(TROUBLES):
                 rng, plain, rate = np.random.default_rng([number, which]), plains[trouble.rate], trouble.rate
                 spoilt_walk = trouble.spoilt(refined(walk, rate), rate * at, rng)
                 end = at + trouble.lasts_s
-                result = recovery(plain, course(spoilt_walk, method, error_map, rate), at, end)
-                informed = informed_courses(trouble, walk, spoilt_walk, at, method, plain, error_map)
+                result = recovery(plain, course(spoilt_walk, method, rate), at, end)
                 rows.append(
                     {
                         "scene": scene,
@@ -237,32 +206,10 @@ def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, obj
                         "lost_fraction": result.said,
                         "unsaid_s": result.unsaid_s,
                         "off": result.off,
-                        "informed_s": min(result.seconds, *(recovery(plain, one, at, end).seconds for one in informed)),
                         "before_m": float(plain.position_m[at - _BEFORE_S : at].mean()),
                     }
                 )
     return rows
-
-
-def informed_courses(
-    trouble: Trouble, walk: Walk, spoilt: Walk, at: int, method: str, plain: Course, error_map: ErrorMap | None
-) -> Iterator[Course]:
-    """The errors of the same method where it is told of the trouble: without the wrong predictions, or started anew
-    where odometry lost its frame; ours also where it keeps what odometry still knows."""
-    if trouble.loses is None:
-        wrong = known(spoilt.map_T_cam_apr) & (spoilt.map_T_cam_apr != walk.map_T_cam_apr).any(axis=(1, 2))
-        left = np.where(wrong[:, None, None], np.nan, spoilt.map_T_cam_apr)
-        yield course(replace(spoilt, map_T_cam_apr=left), method, error_map)
-        anew = at + trouble.lasts_s
-    else:
-        anew = at
-        if method == OURS:
-            localiser = ToldOfLoss(error_map, int(spoilt.t_ns[trouble.rate * at]), trouble.loses)
-            yield _course(spoilt, localiser, trouble.rate)
-    names = ("frame_id", "t_ns", "gravity", "vio_T_cam", "map_T_cam_apr", "map_T_cam")
-    rate = trouble.rate
-    rest = course(replace(spoilt, **{n: getattr(spoilt, n)[rate * anew :] for n in names}), method, error_map, rate)
-    yield Course(*(np.concatenate([getattr(plain, f.name)[:anew], getattr(rest, f.name)]) for f in fields(Course)))
 
 
 def start_rows(scene: str, model: str, walk: Walk, method: str, plain: Course) -> Iterator[dict[str, object]]:
@@ -312,12 +259,8 @@ def _page(rows: pd.DataFrame, methods: Sequence[str]) -> Iterable[str]:
         "predictions, these as wrong as the published PN and MS-T, one frame and one prediction a second, seed 0; "
         "with 30 frames a second, one has a prediction. A third of the way in something goes wrong. Recovered: "
         "error at most 1.5 times the larger of the mean of the 30 s before and of the same method's error at that "
-        "frame without the trouble, in position and in rotation, within a minute of the trouble's end. Informed: the "
-        "same method where it is told of the trouble, which is what the other predictions allow: without the wrong "
-        "predictions, or started anew where odometry lost its frame, or where the wrong predictions end; "
-        f"`{OURS}` also where it is told what odometry still knows: where the phone is as it turns in place, which way "
-        "it looks as it jumps. Of these and the method as it is, the first to recover on each walk. Says so: share of "
-        "the frames until then that are off and said to be lost, or have no pose. Beyond bounds unsaid: "
+        "frame without the trouble, in position and in rotation, within a minute of the trouble's end. Says so: share "
+        "of the frames until then that are off and said to be lost, or have no pose. Beyond bounds unsaid: "
         "for how long until then, trouble included, an error is beyond the method's own 95 % bounds in position or in "
         "rotation and it isn't said to be lost, mean of the walks; never, for a method without bounds."
     )
@@ -342,14 +285,12 @@ def _recovery_rows(rows: pd.DataFrame, methods: Sequence[str], within_s: int) ->
         limit,
         "median s",
         "90 % within s",
-        f"informed: {limit}",
-        "informed: median s",
         "says so, %",
         "beyond bounds unsaid, s",
     ]
     for method in methods:
         of = rows[rows["method"] == method]
-        seconds, informed = of["recovered_s"].to_numpy(float), of["informed_s"].to_numpy(float)
+        seconds = of["recovered_s"].to_numpy(float)
         yield [
             method,
             str(len(of)),
@@ -357,8 +298,6 @@ def _recovery_rows(rows: pd.DataFrame, methods: Sequence[str], within_s: int) ->
             f"{100 * float((seconds <= within_s).mean()):.0f}",
             _seconds(seconds, 50),
             _seconds(seconds, 90),
-            f"{100 * float((informed <= within_s).mean()):.0f}",
-            _seconds(informed, 50),
             f"{100 * float(of['lost_fraction'].mean()):.0f}" if of["lost_fraction"].notna().any() else "",
             f"{of['unsaid_s'].mean():.1f}",
         ]

@@ -2,15 +2,13 @@
 
 `python -m benchmarks.fusion_tables OUT` writes simulated walks; with `--predictions FOLDER` also published predictions
 of real regressors (benchmarks/real_predictions.py) at each number of frames a second that `--every` names, and with
-`--trained FOLDER` predictions of what `python -m benchmarks.regressors` trained there, each seed a scene. Frames held
-out of the regressors' training go along as split `val`."""
+`--trained FOLDER` predictions of what `python -m benchmarks.regressors` trained there, each seed a scene."""
 
 import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import pandas as pd
 import typer
 
@@ -38,6 +36,9 @@ def main(
     every: Annotated[str, typer.Option(help="Frames of 7-Scenes that are a second, joined by commas.")] = "30,10",
     trained: Annotated[Path | None, typer.Option(help="Folder of trainings (build/regressors).")] = None,
     models: Annotated[str, typer.Option(help="Regressors trained there, joined by commas.")] = "PN,MS-T",
+    recordings: Annotated[
+        Path | None, typer.Option(help="Folder of real odometry: docs/explanation/vio-drift.md.")
+    ] = None,
     kinds: Annotated[str, typer.Option(help="Kinds of simulated walks, joined by commas.")] = ",".join(KINDS),
     seeds: Annotated[int, typer.Option(min=1, help="Draws of odometry's drift for published predictions.")] = 3,
 ) -> None:
@@ -55,36 +56,42 @@ def main(
     if trained is not None:
         names = write_trained(out / f"trained {models.replace(',', ' and ')}", trained, models.split(","))
         lines.append(f"trained regressors: in simulated scenes, {', '.join(names)}")
+    if recordings is not None:
+        for kind, tracks in (
+            (inputs.RECORDED, inputs.recorded_tracks(recordings)),
+            (inputs.MEASURED, inputs.measured_tracks(recordings)),
+        ):
+            for i, scene in enumerate(NAMES):  # each recording is in some scenes
+                some = [tracks[(i + 3 * k) % len(tracks)] for k in range(min(3, len(tracks)))]
+                write_cases(out / kind, [inputs.recorded_case(kind, some, scene, model) for model in REGRESSORS])
+        lines.append(
+            "recorded: real odometry; the true walk is its motion with a drift of the fitted size; measured: real "
+            "odometry beside motion capture; predictions as wrong as the published PN and MS-T in the scene"
+        )
     for kind in filter(None, kinds.split(",")):
         draws = [inputs.simulated_case(kind, scene, model, [0]) for scene in NAMES for model in REGRESSORS]
-        write_cases(out / kind, draws, held_out=True)
+        write_cases(out / kind, draws)
     lines.append(
-        "other groups: simulated walks, odometry and predictions (as wrong as the published PN and MS-T), seed 0, with "
-        "held-out frames of training walks"
+        "other groups: simulated walks, odometry and predictions (as wrong as the published PN and MS-T), seed 0"
     )
     (out / "about.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def write_cases(folder: Path, cases: Sequence[Case], held_out: bool = False) -> None:
+def write_cases(folder: Path, cases: Sequence[Case]) -> None:
     """The three tables of each scene: its models' cases have the same walks."""
     for scene in dict.fromkeys(case.scene for case in cases):
         of_scene = [case for case in cases if case.scene == scene]
         walks = of_scene[0].walks
         frames = [_keys(w).join([pose_frame("vio_cam", w.vio_T_cam), _gravity(w)]) for w in walks]
         truth = [_keys(w).join(pose_frame("map_cam", w.map_T_cam)) for w in walks]
-        apr = [
-            _keys(w).join(pose_frame("map_cam", w.map_T_cam_apr)).assign(model=case.model)
+        predicted = [
+            _keys(w).join(pose_frame("map_cam", w.map_T_cam_predicted)).assign(model=case.model)
             for case in of_scene
             for w in case.walks
         ]
-        if held_out:
-            learnt = [_held_out(case) for case in of_scene]
-            frames.append(learnt[0][0])
-            truth.append(learnt[0][1])
-            apr += [part[2] for part in learnt]
         place = folder / scene
         place.mkdir(parents=True, exist_ok=True)
-        for name, parts in (("frames", frames), ("ground_truth", truth), ("predictions", apr)):
+        for name, parts in (("frames", frames), ("ground_truth", truth), ("predictions", predicted)):
             _stacked(parts).to_parquet(place / f"{name}.parquet", index=False)
 
 
@@ -102,8 +109,8 @@ def write_trained(folder: Path, trained: Path, models: Sequence[str]) -> list[st
         place.mkdir(parents=True, exist_ok=True)
         shutil.copy(runs[0] / "import" / "frames.parquet", place)
         shutil.copy(runs[0] / "align" / "ground_truth.parquet", place)
-        apr = [read_table(run / "train" / "predictions.parquet", schema("train", "predictions")) for run in runs]
-        _stacked(apr).to_parquet(place / "predictions.parquet", index=False)
+        predicted = [read_table(run / "train" / "predictions.parquet", schema("train", "predictions")) for run in runs]
+        _stacked(predicted).to_parquet(place / "predictions.parquet", index=False)
     if not names:
         raise UserError("nothing was trained there", where=trained, do="run python -m benchmarks.regressors first")
     return names
@@ -121,23 +128,6 @@ def _keys(walk: Walk) -> pd.DataFrame:
 
 def _gravity(walk: Walk) -> pd.DataFrame:
     return pd.DataFrame(walk.gravity, columns=["gravity_x", "gravity_y", "gravity_z"])
-
-
-def _held_out(case: Case) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
-    """Frames, ground truth and predictions of the training walks' held-out frames."""
-    tables: tuple[list[pd.DataFrame], ...] = ([], [], [])
-    for name, map_T_cam, apr in inputs.held_out_predictions(case):
-        count = len(map_T_cam)
-        keys = pd.DataFrame(
-            {"session_id": name, "split": "val", "t_ns": np.arange(count) * 10**9},
-            index=range(count),
-        )
-        keys["frame_id"] = [f"{name}/{i:06d}" for i in range(count)]
-        tables[0].append(keys.join(pose_frame("vio_cam", np.full((count, 4, 4), np.nan))))
-        tables[1].append(keys.join(pose_frame("map_cam", map_T_cam)))
-        tables[2].append(keys.join(pose_frame("map_cam", apr)).assign(model=case.model))
-    frames, truth, predictions = map(_stacked, tables)
-    return frames, truth, predictions
 
 
 if __name__ == "__main__":

@@ -21,7 +21,6 @@ from groundwalk.geometry.poses import Array, make_pose, pose_from_tq
 from groundwalk.store import UserError
 
 REAL = "real"
-METHOD = "drift_aware"
 DEVELOPMENT = ("chess", "fire", "office", "KingsCollege")
 # Which frames of a sequence are a second apart: 7-Scenes has 30 a second, Cambridge Landmarks one or two.
 STRIDES = {"7Scenes": 30, "Cambridge": 1}
@@ -49,12 +48,12 @@ def _case(file: Path, scene: str, seeds: Sequence[int], strides: Mapping[str, in
     model, data_set = file.parent.parent.name, file.parent.name
     if data_set not in strides:
         raise UserError(f"data set {data_set!r} isn't known", where=str(file), expected=" or ".join(strides))
-    names, apr = read_poses(file)
+    names, predicted = read_poses(file)
     true_names, truth = read_poses(file.with_name(f"{scene}_test_gt.txt"))
     if names != true_names:
         raise UserError("predictions and ground truth aren't of the same frames", where=str(file))
     up_T_map = make_pose(rotation_to_up(_up(truth)), np.zeros(3))
-    apr, truth = up_T_map @ apr @ _TO_OPENCV, up_T_map @ truth @ _TO_OPENCV
+    predicted, truth = up_T_map @ predicted @ _TO_OPENCV, up_T_map @ truth @ _TO_OPENCV
     walks = []
     for seed in seeds:
         for sequence, rows in _sequences(names).items():
@@ -62,8 +61,8 @@ def _case(file: Path, scene: str, seeds: Sequence[int], strides: Mapping[str, in
             t_ns = np.arange(len(kept), dtype=np.int64) * 10**9
             vio = drifting_odometry(t_ns, truth[kept], "real", scene, sequence, seed)
             track = Track(f"{sequence}~{seed}", t_ns, truth[kept], vio)
-            walks.append(predicted_walk(scene, track, apr[kept]))
-    return Case(REAL, scene, model, tuple(walks), (None,) * len(walks))
+            walks.append(predicted_walk(scene, track, predicted[kept]))
+    return Case(REAL, scene, model, tuple(walks))
 
 
 def read_poses(file: Path) -> tuple[list[str], Array]:

@@ -28,7 +28,6 @@ class TrainedRegressor:
     that training used, the scene, the image's `file`, the camera of the ground truth and, as stated_fx, the stated
     focal length. `map_T_cam` (N, 4, 4) is the ground truth, `predicted` (N, 4, 4) what it answered in training and
     `covariance` (N, 6, 6) of its error, NaN where there is none. `worlds` says of each scene's map its unit and axes.
-    `error_maps` are its rows of fuse.error_maps, None where fusion hasn't learnt any.
     """
 
     model: str
@@ -41,7 +40,6 @@ class TrainedRegressor:
     predicted: Array
     covariance: Array
     worlds: dict[str, str]
-    error_maps: pd.DataFrame | None
     simulated: bool
 
     def rows(self, split: str) -> NDArray[np.int64]:
@@ -92,7 +90,6 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
         poses_of(frames, "predicted"),
         np.array(given, float),
         worlds,
-        _error_maps(data.run(profile, scene, "fuse"), model),
         bool(manifest["simulated"]),
     )
 
@@ -125,13 +122,3 @@ def _finished(data: DataRoot, profile: str, scene: str, stage: str) -> Path:
     if not (folder / MANIFEST).is_file():
         raise missing_input(stage, folder, scene)
     return folder
-
-
-def _error_maps(fuse: Path, model: str) -> pd.DataFrame | None:
-    path = fuse / "error_maps.parquet"
-    if not (fuse / MANIFEST).is_file() or not path.is_file():
-        return None
-    load_verified(fuse)
-    table = read_table(path, schema("fuse", "error_maps"))
-    table = table[table["model"] == model]
-    return table if len(table) else None

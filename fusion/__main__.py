@@ -6,8 +6,9 @@ from typing import Annotated
 import typer
 
 from groundwalk.fusion.definition import STAGE
-from groundwalk.fusion.evaluation.leaderboard_report import run_leaderboard
-from groundwalk.fusion.files.tables import Files, evaluate_files, sweep_files
+from groundwalk.fusion.evaluation.leaderboard import run_leaderboard
+from groundwalk.fusion.files.parquet import Files
+from groundwalk.fusion.files.tables import evaluate_files, sweep_files
 from groundwalk.store.cli import SetOption, stage_app
 
 app = stage_app(STAGE)
@@ -58,9 +59,7 @@ def leaderboard(
         ),
     ] = None,
     data: Annotated[Path, typer.Option(help="The data folder, whose finished runs take part.")] = Path("data"),
-    out: Annotated[Path, typer.Option(help="Folder for fusion.md, fusion.csv and fusion_lag.png.")] = Path(
-        "build/leaderboard"
-    ),
+    out: Annotated[Path, typer.Option(help="Folder for fusion.md and fusion.csv.")] = Path("build/leaderboard"),
     methods: Annotated[str, typer.Option(help="Methods, joined by commas; all if empty.")] = "",
     processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
 ) -> None:

@@ -7,7 +7,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="fuse",
-    version=30,
+    version=31,
     settings=FuseSettings,
     needs=("import", "align", "localise", "train"),
     run=Lazy("groundwalk.fusion.stage:run"),

@@ -25,6 +25,7 @@ STATUS_COLOURS = {
     Status.ALIGNING: colours.VIO,
     Status.PREDICTED: colours.APR,
     Status.FUSED: colours.FUSED,
+    Status.LOST: colours.VIO,
     Status.NONE: colours.REJECTED,
 }
 _MARKER_PX = 6.0
@@ -195,8 +196,8 @@ def _log_walk(
 def _log_residuals(stream: rr.RecordingStream, path: str, f: Fused, times: list[rr.TimeColumn]) -> None:
     """A line from the frame's answer to its prediction."""
     stream.log(path, rr.LineStrips3D.from_fields(colors=colours.NEUTRAL, radii=rr.Radius.ui_points(1.0)), static=True)
-    there = known(f.live_map_T_cam) & known(f.walk.map_T_cam_apr)
-    ends = np.stack([f.live_map_T_cam[there, :3, 3], f.walk.map_T_cam_apr[there, :3, 3]], axis=1)
+    there = known(f.live_map_T_cam) & known(f.walk.map_T_cam_predicted)
+    ends = np.stack([f.live_map_T_cam[there, :3, 3], f.walk.map_T_cam_predicted[there, :3, 3]], axis=1)
     columns = rr.LineStrips3D.columns(strips=list(ends)).partition(there.astype(int))
     stream.send_columns(path, indexes=times, columns=columns)
 

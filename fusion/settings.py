@@ -6,7 +6,6 @@ from pydantic import Field, model_validator
 
 from groundwalk.fusion.methods import METHODS, resolve_options
 from groundwalk.store import Settings
-from groundwalk.store.choices import Split
 
 
 class FuseSettings(Settings):
@@ -17,14 +16,9 @@ class FuseSettings(Settings):
         {}, description="a method's options that differ from its defaults: options.window30.pairs=20"
     )
     splits: list[Literal["train", "val", "test"]] = Field(["test"], min_length=1, description="frames to evaluate")
-    learn_from: str = Field(
-        "val", description="frames held out of training, that methods learn the regressor's errors from; none if empty"
-    )
 
     @model_validator(mode="after")
     def _known(self) -> "FuseSettings":
-        if self.learn_from not in ("", *Split):
-            raise ValueError(f"learn_from {self.learn_from!r} is none of {', '.join(Split)}, and not empty")
         for name in (*self.methods, *self.options):
             if name not in METHODS.problems:
                 METHODS.known(name)

@@ -2,7 +2,9 @@
 
 import pandas as pd
 
-from groundwalk.fusion.evaluation.evaluate import Inputs, evaluate, report_lines, stacked
+from groundwalk.fusion.evaluation.evaluate import evaluate, report_lines
+from groundwalk.fusion.evaluation.fuse import stacked
+from groundwalk.fusion.files.walks import Inputs
 from groundwalk.fusion.recording import blueprint, record
 from groundwalk.fusion.settings import FuseSettings
 from groundwalk.store import StageRun, UserError

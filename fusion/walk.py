@@ -19,8 +19,8 @@ class Walk:
     frame_id (N,) str, t_ns (N,) int64, gravity (N, 3) unit vectors in camera axes, and the poses (N, 4, 4).
     quality (N,) str: class of the ground truth, None where no class is stated; None instead of the array for all so.
     shares_vertical: odometry's +y and the map's are both up, as far as the tables say.
-    apr_covariance (N, 6, 6): of the predictions' errors in the map frame, rotation (rad) then translation (m), NaN
-    where a prediction brings none; None instead of the array where none does.
+    predicted_covariance (N, 6, 6): of the predictions' errors in the map frame, rotation (rad) then translation (m),
+    NaN where a prediction brings none; None instead of the array where none does.
     """
 
     scene: str
@@ -30,10 +30,10 @@ class Walk:
     t_ns: NDArray[np.int64]
     gravity: Array
     vio_T_cam: Array
-    map_T_cam_apr: Array
+    map_T_cam_predicted: Array
     map_T_cam: Array  # ground truth
     quality: NDArray[np.object_] | None = None
-    apr_covariance: Array | None = None
+    predicted_covariance: Array | None = None
     shares_vertical: bool = True
 
     def without_odometry(self) -> "Walk":

@@ -23,7 +23,7 @@ from groundwalk.scoring.errors import sure_enough
 PIECE = 10
 """Consecutive frames of a walk that are drawn together."""
 MIN_PIECES = 3
-_TRUTH, _ALONE = "ground truth", "apr"
+_TRUTH, _ALONE = "ground truth", "raw"
 # What of each is compared, of drawn_figures, and what it's called.
 _FIGURES = {
     _TRUTH: {
@@ -114,7 +114,7 @@ def _errors(errors: pd.DataFrame, model: str, method: str) -> pd.DataFrame:
     """The errors in time of test frames; those of a method with several options are of the first."""
     rows = errors[(errors["model"] == model) & (errors["split"] == "test")]
     if method == _ALONE:  # which stands by each method's
-        rows, prefix = rows.drop_duplicates(["scene", "frame_id"]), "apr_"
+        rows, prefix = rows.drop_duplicates(["scene", "frame_id"]), "raw_"
     else:
         rows, prefix = rows[rows["method"] == method], "live_"
         rows = rows[rows["options"] == rows["options"].iloc[0]] if len(rows) else rows

@@ -113,7 +113,7 @@ def error_distributions(scene: SceneInputs) -> NamedFigure:
             ax.axvline(level, color=style.NEUTRAL, lw=0.8, ls=(0, (1, 2)))
         for model in scene.models:
             alone, fused = scene.raw_errors(model), scene.frame_errors(model, scene.best(model))
-            _cumulative(ax, alone[f"apr_{quantity}_{unit}"], alone, colours[model], "--" if scene.fuses else "-")
+            _cumulative(ax, alone[f"raw_{quantity}_{unit}"], alone, colours[model], "--" if scene.fuses else "-")
             if scene.fuses:
                 _cumulative(ax, fused[f"live_{quantity}_{unit}"], fused, colours[model], "-")
         ax.set(xscale="log", ylim=(0, 102), ylabel="frames within (%)")
@@ -151,7 +151,7 @@ def costs(scene: SceneInputs) -> NamedFigure:
     size = kept.dropna().drop_duplicates("model").set_index("model")["bytes"]
     for model in scene.models:
         errors = scene.raw_errors(model)
-        raw = errors.loc[errors["split"] == "test", "apr_position_m"].to_numpy(float)
+        raw = errors.loc[errors["split"] == "test", "raw_position_m"].to_numpy(float)
         median = median_error(raw)
         mib = float(size.get(model, np.nan)) / 2**20
         for ax, cost in zip(axes, (mib, scene.runtime_ms(model)), strict=True):

@@ -214,7 +214,7 @@ class SceneInputs:
         return fused if len(fused) else self.raw_errors(model)
 
     def raw_errors(self, model: str) -> pd.DataFrame:
-        """One row a frame with the raw regressor's errors, in the columns `apr_…`."""
+        """One row a frame with the raw regressor's errors, in the columns `raw_…`."""
         return self.errors[self.errors["model"] == model].drop_duplicates("frame_id")
 
     @property

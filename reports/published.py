@@ -10,7 +10,7 @@ from groundwalk.store import DataRoot, UserError
 from groundwalk.store.settings import SHIPPED_DATA
 
 PUBLISHED = DataRoot(SHIPPED_DATA).files("published")
-RAW_METHOD, PAPER_METHOD = "apr", "mobilearloc"
+RAW_METHOD, PAPER_METHOD = "raw", "paper_rule"
 """The ids of the two methods that the paper's tables hold: the raw regressor, and its rule."""
 _LEVEL_COLUMNS = {
     "high_pct_0.25m_2deg": "high",

@@ -77,7 +77,7 @@ def _localiser_findings(scene: SceneInputs) -> Iterator[Finding]:
     test = scene.errors[(scene.errors["split"] == "test") & scene.errors["method"].isin(scene.raw_methods)]
     for model in scene.localisers["model"]:
         errors = test[test["model"] == model].drop_duplicates("frame_id")
-        wrong = int(((errors["apr_position_m"] > WRONG_M) | (errors["apr_rotation_deg"] > WRONG_DEG)).sum())
+        wrong = int(((errors["raw_position_m"] > WRONG_M) | (errors["raw_rotation_deg"] > WRONG_DEG)).sum())
         yield Finding(
             *("no_wrong_answer", "localise.predictions", scene.name, "all", f"{model} pose"),
             *("0 frames", f"{wrong} of {len(errors)} frames", CAUTION if wrong else AGREES),

@@ -54,13 +54,13 @@ def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dic
 
     paper = errors[errors["method"] == PAPER_METHOD]
     paper = paper[paper["options"] == paper["options"].iloc[0]] if len(paper) else paper
-    raw_all = _scored(errors.drop_duplicates("frame_id"), "apr_")
+    raw_all = _scored(errors.drop_duplicates("frame_id"), "raw_")
     if paper.empty:
         add(RAW_METHOD, "", list(SUBSETS)[-1], "all", raw_all)
     for subset, statuses in SUBSETS.items() if len(paper) else ():
         part = paper[paper["status"].isin(statuses)]
         add(RAW_METHOD, "", subset, "all", raw_all)
-        add(RAW_METHOD, "", subset, "subset", _scored(part, "apr_"))
+        add(RAW_METHOD, "", subset, "subset", _scored(part, "raw_"))
         add(PAPER_METHOD, str(paper["options"].iloc[0]), subset, "subset", _scored(part, ""))
 
     runs = len(errors[["method", "options"]].drop_duplicates())
@@ -84,7 +84,7 @@ def by_walk(scene: SceneInputs) -> tuple[str, dict[tuple[str, str], Score]]:
     walks = errors["session_id"].map(seen) if len(appearances) > 1 else errors["session_id"]
     groups = [str(appearance) for appearance in appearances] if len(appearances) > 1 else sorted(set(walks))
     return by, {
-        (model, walk): _scored(errors[(errors["model"] == model) & (walks == walk)], "apr_")
+        (model, walk): _scored(errors[(errors["model"] == model) & (walks == walk)], "raw_")
         for model in scene.models
         for walk in groups
     }

@@ -147,7 +147,7 @@ def frame_data(scene: SceneInputs, verdict: Verdict, image_path: Callable[[str],
         best, label = scene.best(model), scene.label(model)
         fused = scene.frame_errors(model, best).set_index("frame_id")
         predicted = scene.predictions[scene.predictions["model"] == model]
-        add(f"{label} alone ({unit})", fused["apr_position_m"], predicted, "map_cam")
+        add(f"{label} alone ({unit})", fused["raw_position_m"], predicted, "map_cam")
         if best and best not in scene.raw_methods:
             name = f"{label}{scene.method_labels[best]} in time ({unit})"
             add(name, fused["live_position_m"], scene.fused_poses(model, best), "live_map_cam")

@@ -7,7 +7,7 @@ over the map by an order of magnitude: some places are hard.
 
 Sizes are matched to published errors, scene by scene (`python -m benchmarks.regressor_errors.fit`); the fields of
 `AprModel` with a default are what no publication says. How repeatable the bias is follows PoseNet, MS-Transformer and
-DFNet on chess, fire, office and KingsCollege (docs/results/regressor_repeatability.md). Nothing here was measured on a
+DFNet on chess, fire, office and KingsCollege. Nothing here was measured on a
 regressor of ours.
 """
 

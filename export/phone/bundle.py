@@ -17,7 +17,7 @@ from groundwalk.export.phone.readme import readme
 from groundwalk.export.regressor import TrainedRegressor
 from groundwalk.geometry.poses import quaternion_from_matrix, rotation_angle
 from groundwalk.runtime.bundle import matrix_of, onnx_session
-from groundwalk.runtime.bundle_file import ERROR_MAP, ERRORS, FRAME, PREPROCESSING, write_manifest
+from groundwalk.runtime.bundle_file import ERRORS, FRAME, PREPROCESSING, write_manifest
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
 from groundwalk.store import UserError, progress
 from groundwalk.store.files import write_json
@@ -46,8 +46,6 @@ def write_bundle(regressor: TrainedRegressor, folder: Path) -> list[str]:
     write_json(folder / FRAME, frame_of(regressor))
     if errors:
         write_json(folder / ERRORS, errors)
-    if regressor.error_maps is not None:
-        write_json(folder / ERROR_MAP, _error_map(regressor))
     median = errors.get("position_median_m", 0.0), errors.get("rotation_median_deg", 0.0)
     write_golden(inputs, folder, {name: _network(file) for name, file in networks.items()}, median)
     notes = _notes(quantised, coreml)
@@ -131,12 +129,6 @@ def _errors(regressor: TrainedRegressor) -> dict[str, Any]:
         position, rotation = within_bounds(*poses, covariance).mean(axis=0).tolist()
         content["within_95_percent_bounds"] = {"position": position, "rotation": rotation}
     return content
-
-
-def _error_map(regressor: TrainedRegressor) -> dict[str, Any]:
-    assert regressor.error_maps is not None
-    table = regressor.error_maps.drop(columns=["model"])
-    return {str(scene): rows.drop(columns=["scene"]).to_dict("list") for scene, rows in table.groupby("scene")}
 
 
 def _notes(quantised: Quantised, coreml: str) -> list[str]:

@@ -53,7 +53,7 @@ has queries with the output of each step and of each network, and how far a port
 |---|---|
 {files}
 | `preprocessing.json`, `frame.json` | as above |
-| `errors.json`, `error_map.json` | where the run had them: errors on test frames; errors by place, for fusion |
+| `errors.json` | where the run had test frames: errors on them |
 | `golden/` | images, the arrays of each step (NumPy's .npy), the outputs |
 | `bundle.json` | format, version, sha256 of every file |
 

@@ -7,35 +7,31 @@ from functools import partial
 
 import pandas as pd
 
-from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_rows, signal_rows
-from groundwalk.fusion.evaluation.intervals import intervals
-from groundwalk.fusion.evaluation.summary import session_figures, summarise
+from groundwalk.fusion.evaluation.fuse import (
+    Fused,
+    Run,
+    error_rows,
+    fuse_all,
+    options_json,
+    pose_rows,
+    signal_rows,
+    stacked,
+)
+from groundwalk.fusion.evaluation.sessions import session_figures
+from groundwalk.fusion.evaluation.summary import intervals, summarise
 from groundwalk.fusion.evaluation.sweep import around, sweep
 from groundwalk.fusion.evaluation.validation import validation_rows
 from groundwalk.fusion.files.quaternion_order import refuse_scalar_first
-from groundwalk.fusion.files.walks import Evaluated, check_frames, check_predictions, evaluated, poses_for
+from groundwalk.fusion.files.walks import Evaluated, Inputs, check_frames, check_predictions, evaluated
 from groundwalk.fusion.methods import METHODS, method, resolve_options
-from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.localiser import MethodOptions
-from groundwalk.fusion.methods.mobilearloc import MobileARLocOptions
+from groundwalk.fusion.methods.paper_rule import PaperRuleOptions
 from groundwalk.fusion.settings import FuseSettings
 from groundwalk.fusion.walk import Walk, known, with_odometry
-from groundwalk.store.choices import MapUnit
+from groundwalk.store.choices import MapUnit, Split
 from groundwalk.store.progress import track
 from groundwalk.store.registry import PluginError
 from groundwalk.store.tables import map_unit, scale_warning
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """One scene's frames, ground truth and predictions; `made_here` are the models whose predictions the stages train
-    and localise made, so that the order of their quaternions is known."""
-
-    scene: str
-    frames: pd.DataFrame
-    truth: pd.DataFrame
-    predictions: pd.DataFrame
-    made_here: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -46,7 +42,6 @@ class Results:
     tables: dict[str, pd.DataFrame]
     counts: Counter[str]
     gates: dict[str, dict[str, float]]
-    error_maps: dict[tuple[str, str], ErrorMap]  # by scene and model
     left_out: list[PluginError]  # methods of other packages that can't be used or failed
 
 
@@ -62,11 +57,11 @@ def resolved(settings: FuseSettings) -> dict[str, MethodOptions]:
     return chosen
 
 
-def rule_options(settings: FuseSettings) -> MobileARLocOptions:
+def rule_options(settings: FuseSettings) -> PaperRuleOptions:
     """The options of the paper's rule, whose thresholds `sweep` moves."""
-    name = next(name for name, entry in METHODS.items() if entry.options is MobileARLocOptions)
+    name = next(name for name, entry in METHODS.items() if entry.options is PaperRuleOptions)
     options = resolve_options(name, settings.options.get(name))
-    assert isinstance(options, MobileARLocOptions)
+    assert isinstance(options, PaperRuleOptions)
     return options
 
 
@@ -80,7 +75,6 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
     fused: list[Fused] = []
     counts: Counter[str] = Counter()
     walks: dict[tuple[str, str], list[Walk]] = {}
-    error_maps: dict[tuple[str, str], ErrorMap] = {}
     left_out = {name: METHODS.problems[name][0] for name in settings.methods if name not in METHODS}
     cases = [
         (scene, model, joined, number == 0)
@@ -94,13 +88,11 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
         counts.update(joined.prediction_counts)
         if first:
             counts.update(joined.frame_counts)
-        if (error_map := learnt(scene, model, settings)) is not None:
-            error_maps[scene.scene, model] = error_map
         for name, chosen in options.items():
             if name in left_out:
                 continue
             run = Run(name, options_json(chosen.model_dump(mode="json")), model)
-            make = partial(method(name).localiser, chosen, error_map)
+            make = partial(method(name).make, chosen)
             try:
                 with METHODS.guard(name):
                     fused += fuse_all(run, with_odometry(joined.walks) if method(name).fuses else joined.walks, make)
@@ -121,15 +113,13 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
         "sessions": pd.DataFrame([session_figures(f) for f in fused]),
         "methods": _method_rows(options),
     }
-    rule = next((chosen for chosen in options.values() if isinstance(chosen, MobileARLocOptions)), None)
+    rule = next((chosen for chosen in options.values() if isinstance(chosen, PaperRuleOptions)), None)
     if rule is not None:
         tables["sweep"] = sweep({case: on for case, part in walks.items() if (on := with_odometry(part))}, around(rule))
     if validated := [validation_rows(walks, model, options) for model, walks in held_out_walks(inputs, settings)]:
         tables["validation"] = stacked(validated)
-    if error_maps:
-        tables["error_maps"] = stacked(m.table().assign(scene=s, model=r) for (s, r), m in error_maps.items())
     gates = {name: chosen.gates for name, chosen in options.items()}
-    return Results(fused, tables, counts, gates, error_maps, list(left_out.values()))
+    return Results(fused, tables, counts, gates, list(left_out.values()))
 
 
 def _with_raw(options: dict[str, MethodOptions], settings: FuseSettings) -> dict[str, MethodOptions]:
@@ -155,33 +145,19 @@ def _method_rows(options: dict[str, MethodOptions]) -> pd.DataFrame:
     )
 
 
-def learnt(inputs: Inputs, model: str, settings: FuseSettings) -> ErrorMap | None:
-    """What held-out frames say of a model's errors in a scene; None where there are too few. Predictions say in their
-    column `split` what was held out, or else frames do; a frame that is evaluated is never learnt from."""
-    rows = inputs.predictions[inputs.predictions["model"] == model]
-    frames = inputs.frames.set_index("frame_id")
-    of_frame = rows["frame_id"].map(frames["split"])
-    held_out = (rows["split"] if "split" in rows.columns else of_frame) == settings.learn_from
-    rows = rows[held_out & ~of_frame.isin(settings.splits)].sort_values("frame_id")
-    if rows.empty:
-        return None
-    apr, true = poses_for(rows, rows, "map_cam"), poses_for(rows, inputs.truth, "map_cam")
-    return ErrorMap.learnt(apr, true, rows["frame_id"].map(frames["session_id"]))
-
-
 def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator[tuple[str, list[Walk]]]:
     """Each model's name and walks with odometry of held-out frames of each scene, where half of them or more have
     ground truth and a prediction and they aren't evaluated anyhow."""
-    if not settings.learn_from or settings.learn_from in settings.splits:
+    if Split.VAL in settings.splits:
         return
     for scene in inputs:
-        held = scene.frames[scene.frames["split"] == settings.learn_from]
+        held = scene.frames[scene.frames["split"] == Split.VAL]
         true = held["frame_id"].isin(scene.truth.loc[scene.truth["map_cam_tx"].notna(), "frame_id"])
         for model, predictions in scene.predictions.groupby("model", sort=False):
             both = true & held["frame_id"].isin(predictions["frame_id"])
             if len(held) and both.mean() >= 0.5:
                 table = pd.DataFrame(predictions)
-                walks = evaluated(scene.scene, held, scene.truth, table, [settings.learn_from]).walks
+                walks = evaluated(scene.scene, held, scene.truth, table, [Split.VAL]).walks
                 if fusible := [walk for walk in with_odometry(walks) if known(walk.map_T_cam).any()]:
                     yield str(model), fusible
 
@@ -195,13 +171,6 @@ def joined_walks(inputs: Inputs, splits: Sequence[str]) -> Iterator[tuple[str, E
         if model not in inputs.made_here:
             refuse_scalar_first(of_model.walks, f"of {inputs.scene}")
         yield str(model), of_model
-
-
-def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    """Tables of one kind below each other."""
-    kept = list(parts)
-    # Empty parts would blur the column types.
-    return pd.concat([p for p in kept if len(p)] or kept[:1], ignore_index=True)
 
 
 _MEANINGS = {

@@ -111,7 +111,7 @@ def error_rows(fused: Fused) -> pd.DataFrame:
     walk = fused.walk
     position_m, rotation_deg = pose_errors(fused.map_T_cam, walk.map_T_cam)
     live_position_m, live_rotation_deg = pose_errors(fused.live_map_T_cam, walk.map_T_cam)
-    apr_position_m, apr_rotation_deg = pose_errors(walk.map_T_cam_apr, walk.map_T_cam)
+    raw_position_m, raw_rotation_deg = pose_errors(walk.map_T_cam_predicted, walk.map_T_cam)
     rows = _keys(fused).assign(
         quality=walk.quality,
         status=fused.status,
@@ -120,8 +120,8 @@ def error_rows(fused: Fused) -> pd.DataFrame:
         live_status=fused.live_status,
         live_position_m=live_position_m,
         live_rotation_deg=live_rotation_deg,
-        apr_position_m=apr_position_m,
-        apr_rotation_deg=apr_rotation_deg,
+        raw_position_m=raw_position_m,
+        raw_rotation_deg=raw_rotation_deg,
     )
     return rows[known(walk.map_T_cam)].reset_index(drop=True)
 
@@ -132,6 +132,13 @@ def signal_rows(fused: Fused) -> pd.DataFrame:
     index = [i for i, _, _ in named]
     names, values = [name for _, name, _ in named], [value for _, _, value in named]
     return _keys(fused).iloc[index].reset_index(drop=True).assign(signal=names, value=np.array(values, dtype=float))
+
+
+def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    """Tables of one kind below each other."""
+    kept = list(parts)
+    # Empty parts would blur the column types.
+    return pd.concat([p for p in kept if len(p)] or kept[:1], ignore_index=True)
 
 
 def options_json(options: dict[str, object]) -> str:

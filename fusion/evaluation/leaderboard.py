@@ -1,4 +1,4 @@
-"""All fusion methods on walks laid in folders and on finished runs: who is ahead, scene by scene.
+"""All fusion methods on walks in folders and on finished runs: who is ahead, scene by scene.
 
 A folder holds any number of cases, each a folder with `frames.parquet`, `ground_truth.parquet` and
 `predictions.parquet` as `evaluate` reads them; what a case is called is its path. The first part of that path is its
@@ -6,9 +6,11 @@ group, over which figures are averaged. A file `about.txt` in the folder says wh
 
 import hashlib
 import multiprocessing
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import os
+import platform
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,37 +19,48 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, joined_walks, learnt
+from groundwalk.fusion.evaluation.evaluate import joined_walks
 from groundwalk.fusion.evaluation.fuse import Fused, Run, fuse, pose_errors
 from groundwalk.fusion.evaluation.validation import ERRORS, ahead_of
-from groundwalk.fusion.files.tables import Files
+from groundwalk.fusion.files.parquet import Files
+from groundwalk.fusion.files.walks import Inputs
 from groundwalk.fusion.methods import METHODS, method, resolve_options
-from groundwalk.fusion.methods.error_map import ErrorMap
-from groundwalk.fusion.methods.localiser import Estimate, MethodOptions
-from groundwalk.fusion.methods.offline import Offline
+from groundwalk.fusion.methods.localiser import MethodOptions
+from groundwalk.fusion.settings import FuseSettings
 from groundwalk.fusion.walk import Walk, known, with_odometry
 from groundwalk.scoring import errors as scoring_errors
 from groundwalk.scoring.errors import accuracy_shares
 from groundwalk.store import DataRoot, UserError
+from groundwalk.store.checkout import git_revision
+from groundwalk.store.files import make_writable
 from groundwalk.store.progress import track
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import dataset_frames, read_table
 
-RAW, RULE, LATE = "apr", "mobilearloc", "smoother"
+RAW, RULE, LATE = "raw", "paper_rule", "smoother"
 LAGS_S = (0.0, 1.0, 5.0, 30.0)
 KEY = ["group", "scene", "model"]
 _TABLES = ("frames", "ground_truth", "predictions")
+_PAGE, _TABLE = "fusion.md", "fusion.csv"
+_HEADER = """# Fusion methods beside each other
+
+Written by `groundwalk leaderboard`; not to be edited. Errors are over all frames with ground truth, in time; a
+frame without a pose counts as failed in medians, percentiles and levels, and means have the coverage beside them.
+`/rule` is a mean error over the paper's rule's in the same scene with the same model, the geometric mean over scenes
+and models. In bounds: share of errors within the method's 95 % bounds, mean over scenes (worst). Levels: (0.25 m, 2°),
+(0.5 m, 5°), (5 m, 10°). Ahead is the causal method whose mean errors are least (the geometric mean of position and
+rotation, over the coverage).
+`fusion.csv` has every figure."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One model's predictions of one scene's walks, and what held-out frames tell of its errors."""
+    """One model's predictions of one scene's walks."""
 
     group: str
     scene: str
     model: str
     walks: list[Walk]
-    error_map: ErrorMap | None
 
 
 @dataclass(frozen=True)
@@ -58,8 +71,8 @@ class Entrant:
     method: str
     options: MethodOptions
 
-    def localiser(self, error_map: ErrorMap | None) -> Any:
-        return method(self.method).localiser(self.options, error_map)
+    def localiser(self) -> Any:
+        return method(self.method).make(self.options)
 
 
 def entrants(names: Sequence[str] = ()) -> list[Entrant]:
@@ -139,7 +152,7 @@ def _cases(group: str, inputs: Inputs) -> Iterator[Case]:
     settings = FuseSettings()
     for model, joined in joined_walks(inputs, settings.splits):
         if walks := with_odometry(joined.walks):
-            yield Case(group, inputs.scene, model, walks, learnt(inputs, model, settings))
+            yield Case(group, inputs.scene, model, walks)
 
 
 # ---------------------------------------------------------------- figures
@@ -159,24 +172,12 @@ def scores(cases: Sequence[Case], methods: Sequence[Entrant], processes: int = 1
     return pd.DataFrame(rows)
 
 
-_LOADED: set[str] = set()  # methods that this process has run
-
-
 def _case_rows(case: Case, methods: Sequence[Entrant]) -> list[dict[str, Any]]:
     return [_row(case, entrant) for entrant in methods]
 
 
 def _row(case: Case, entrant: Entrant) -> dict[str, Any]:
-    fused: list[Fused] = []
-    spent_ms: list[float] = []
-    if entrant.method not in _LOADED:  # a method's first walk in a process compiles and loads, which is no step's time
-        fuse(Run(entrant.method, "", case.model), case.walks[0], entrant.localiser(case.error_map))
-        _LOADED.add(entrant.method)
-    for walk in case.walks:
-        localiser = entrant.localiser(case.error_map)
-        if not isinstance(localiser, Offline):
-            localiser.step = _timed(localiser.step, spent_ms)
-        fused.append(fuse(Run(entrant.method, "", case.model), walk, localiser))
+    fused = [fuse(Run(entrant.method, "", case.model), walk, entrant.localiser()) for walk in case.walks]
     errors = [pose_errors(f.live_map_T_cam, f.walk.map_T_cam) for f in fused]
     judged = [known(f.walk.map_T_cam) for f in fused]
     position, rotation = (
@@ -195,20 +196,7 @@ def _row(case: Case, entrant: Entrant) -> dict[str, Any]:
     inside = np.concatenate([within_bounds(f) for f in fused])
     for i, name in enumerate(("position", "rotation")):
         row[f"{name}_within_pct"] = 100 * float(inside[:, i].mean()) if len(inside) else np.nan
-    row["step_median_ms"], row["step_p99_ms"] = np.percentile(spent_ms, [50, 99]) if spent_ms else (np.nan, np.nan)
     return row
-
-
-def _timed(step: Callable[..., Estimate], spent_ms: list[float]) -> Callable[..., Estimate]:
-    """A localiser's `step` that appends its processor time."""
-
-    def timed(*frame: Any) -> Estimate:
-        start = time.thread_time_ns()
-        estimate = step(*frame)
-        spent_ms.append((time.thread_time_ns() - start) * 1e-6)
-        return estimate
-
-    return timed
 
 
 def within_bounds(fused: Fused) -> NDArray[np.bool_]:
@@ -250,6 +238,116 @@ def ratios(rows: pd.DataFrame) -> pd.DataFrame:
         for quantity in ("position", "rotation"):
             inside = part[f"{quantity}_within_pct"]
             row[f"{quantity} in bounds %"] = f"{inside.mean():.0f} ({inside.min():.0f})" if inside.notna().any() else ""
-        row["ms median / p99"] = f"{part['step_median_ms'].median():.2f} / {part['step_p99_ms'].max():.2f}"
         listing.append(row)
-    return pd.DataFrame(listing).replace("nan / nan", "")
+    return pd.DataFrame(listing)
+
+
+# ---------------------------------------------------------------- files
+
+
+def run_leaderboard(folders: Sequence[Path], data: Path, out: Path, methods: Sequence[str], processes: int) -> None:
+    """Run it, write its files and print them. UserError where there is nothing to run on, or the folder `out` can't be
+    made or has files of these names that no leaderboard wrote."""
+    revision = git_revision()  # before the run: the checkout may move on meanwhile
+    cases, sources = cases_of_runs(DataRoot(data))
+    for folder in folders:
+        more, lines = cases_in(folder)
+        cases, sources = cases + more, sources + lines
+    if not cases:
+        raise UserError(
+            "there is nothing to run on",
+            where=data,
+            found="; ".join(sources) or None,
+            do="name a folder of predictions, or finish a run of a scene; the scene needs VIO",
+        )
+    _refuse_other_files(out)
+    make_writable(out)
+    print(write_leaderboard(out, scores(cases, entrants(methods), processes), sources, revision))
+
+
+def _refuse_other_files(out: Path) -> None:
+    page = out / _PAGE
+    there = [path for path in (page, out / _TABLE) if path.exists()]
+    if there and not (page.is_file() and page.read_bytes().startswith(_HEADER.encode().splitlines()[0])):
+        raise UserError(
+            "the output folder holds a file that no leaderboard wrote",
+            where=there[0],
+            expected=f"a new folder, or one with {_PAGE} of an earlier leaderboard, whose files are replaced",
+            do="name another folder with --out",
+        )
+
+
+def write_leaderboard(out: Path, rows: pd.DataFrame, sources: list[str], revision: str) -> str:
+    """Write fusion.md and fusion.csv into the folder; returns what stands in fusion.md."""
+    head = {
+        "revision": revision,
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the end",
+    }
+    rows.assign(**head).to_csv(out / _TABLE, index=False, float_format="%.6g", lineterminator="\n")
+    lines = [*(f"- {name}: {value}" for name, value in head.items()), *(f"- {source}" for source in sources)]
+    sections = [_HEADER, "\n".join(lines)]
+    late = rows["method"].str.startswith(f"{LATE}, ")
+    methods = rows[~late]
+    table = ratios(methods)
+    for group in table["group"].unique():
+        part = table[table["group"] == group].drop(columns="group")
+        here = methods[methods["group"] == group]
+        sections += [f"## {group}: {_counts(here)}", markdown(part), "### Scene by scene", markdown(_by_scene(here))]
+    lags = lag_ratios(rows)
+    if len(lags):
+        sections += ["## Later answers", f"Mean errors of `{LATE}` with `lag_s` over those with none, geometric means."]
+        sections += [markdown(lags)]
+    text = "\n\n".join(sections) + "\n"
+    (out / _PAGE).write_text(text, encoding="utf-8")
+    return text
+
+
+def _counts(rows: pd.DataFrame) -> str:
+    cases = rows.drop_duplicates(KEY)
+    return f"{cases['scene'].nunique()} scenes, {len(cases)} cases, {cases['walks'].sum()} walks"
+
+
+def _by_scene(rows: pd.DataFrame) -> pd.DataFrame:
+    """Who is ahead in each case, beside the raw regressor and the rule."""
+    indexed = rows.set_index([*KEY, "method"])
+    listing = []
+    for best in ahead(rows).to_dict("records"):
+        key = tuple(best[name] for name in KEY)
+        row = {"scene": best["scene"], "model": best["model"]}
+        row["ahead"] = "none: the predictor alone" if best["ahead"] == RAW else best["ahead"]
+        names = [best["ahead"], *[name for name in (RAW, RULE) if name != best["ahead"]]]
+        for label, name in zip(("ahead", *names[1:]), names, strict=True):
+            figures = indexed.loc[(*key, name)]
+            row[f"{label}: mean"] = f"{figures[ERRORS[0]]:.3g} m, {figures[ERRORS[1]]:.3g}°"
+        best_row = indexed.loc[(*key, best["ahead"])]
+        row["p95"] = f"{best_row['position_p95_m']:.3g} m, {best_row['rotation_p95_deg']:.3g}°"
+        listing.append(row)
+    return pd.DataFrame(listing).fillna("")
+
+
+def lag_ratios(rows: pd.DataFrame) -> pd.DataFrame:
+    """Mean errors of late answers over those without a lag, a row a group and lag; empty where no lags were run."""
+    none = rows[rows["method"] == f"{LATE}, {LAGS_S[0]:g} s late"].set_index(KEY)[ERRORS]
+    listing = []
+    for lag, name in [*((lag, f"{LATE}, {lag:g} s late") for lag in LAGS_S), (np.inf, LATE)]:
+        part = rows[rows["method"] == name].set_index(KEY)[ERRORS]
+        if len(part) and len(none):
+            means = (part / none.reindex(part.index)).apply(np.log).groupby("group", sort=False).mean().apply(np.exp)
+            for group, (position, rotation) in means.iterrows():
+                listing.append({"group": group, "lag s": lag, "position": position, "rotation": rotation})
+    return pd.DataFrame(listing)
+
+
+def markdown(table: pd.DataFrame) -> str:
+    """A table in Markdown; an index with a name is its first column."""
+    plain = table.reset_index() if table.index.name else table
+    lines = ["| " + " | ".join(map(str, plain.columns)) + " |", "|---" * len(plain.columns) + "|"]
+    lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in plain.itertuples(index=False)]
+    return "\n".join(lines)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return "" if np.isnan(value) else f"{value:.0f}" if 1000 <= abs(value) < np.inf else f"{value:.3g}"
+    return str(value)

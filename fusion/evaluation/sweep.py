@@ -3,23 +3,24 @@
 `around` changes one threshold at a time, for the sensitivity figure; `grid` has every combination.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from itertools import product, repeat
+from itertools import product
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from groundwalk.fusion.evaluation.fuse import pose_errors
-from groundwalk.fusion.evaluation.summary import figures
-from groundwalk.fusion.methods.decide import Decisions, RuleWalk
-from groundwalk.fusion.methods.localiser import Status
-from groundwalk.fusion.methods.mobilearloc import MobileARLocOptions
-from groundwalk.fusion.walk import Flags, Walk, known
-from groundwalk.geometry.poses import Array
+from groundwalk.fusion.evaluation.fuse import Run, error_rows, fuse, stacked
+from groundwalk.fusion.evaluation.summary import figures, score_columns
+from groundwalk.fusion.methods.paper_rule import PaperRule, PaperRuleOptions
+from groundwalk.fusion.walk import Walk
+from groundwalk.scoring.scores import SUBSETS
+from groundwalk.store import colours
 
 # The paper's values are among them.
 VALUES: dict[str, tuple[float, ...]] = {
@@ -34,23 +35,23 @@ VALUES: dict[str, tuple[float, ...]] = {
 class Setting:
     """Options of the rule; `varied` names the threshold that differs from the others, "" where several do."""
 
-    options: MobileARLocOptions
+    options: PaperRuleOptions
     varied: str = ""
 
 
-def around(options: MobileARLocOptions, values: dict[str, tuple[float, ...]] = VALUES) -> list[Setting]:
+def around(options: PaperRuleOptions, values: dict[str, tuple[float, ...]] = VALUES) -> list[Setting]:
     """One threshold at a time, from the given options."""
     base = options.model_dump()
     return [
-        Setting(MobileARLocOptions(**base | {name: value}), name) for name, tried in values.items() for value in tried
+        Setting(PaperRuleOptions(**base | {name: value}), name) for name, tried in values.items() for value in tried
     ]
 
 
-def grid(options: MobileARLocOptions, values: dict[str, tuple[float, ...]] = VALUES) -> list[Setting]:
+def grid(options: PaperRuleOptions, values: dict[str, tuple[float, ...]] = VALUES) -> list[Setting]:
     """Every combination of the values."""
     base = options.model_dump()
     combinations = (dict(zip(values, chosen, strict=True)) for chosen in product(*values.values()))
-    return [Setting(MobileARLocOptions(**base | chosen)) for chosen in combinations]
+    return [Setting(PaperRuleOptions(**base | chosen)) for chosen in combinations]
 
 
 Walks = Mapping[tuple[str, str], Sequence[Walk]]
@@ -59,61 +60,65 @@ Walks = Mapping[tuple[str, str], Sequence[Walk]]
 
 def sweep(walks: Walks, settings: Sequence[Setting], processes: int = 1) -> pd.DataFrame:
     """Table fuse.sweep: the figures of each setting over the walks of each scene and model."""
+    tasks = [(key, setting) for key in walks for setting in settings]
+    arguments = [key for key, _ in tasks], [walks[key] for key, _ in tasks], [setting for _, setting in tasks]
     if processes == 1:
-        return pd.DataFrame([row for key, part in walks.items() for row in _rows(key, part, settings)])
-    # The longest first, so that no process is left with one at the end.
-    order = sorted(walks, key=lambda key: -sum(len(w) for w in walks[key]))
-    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-        rows = dict(zip(order, pool.map(_rows, order, [walks[k] for k in order], repeat(settings)), strict=True))
-    return pd.DataFrame([row for key in walks for row in rows[key]])
+        parts = list(map(_rows, *arguments))
+    else:
+        with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+            parts = list(pool.map(_rows, *arguments, chunksize=8))
+    return pd.DataFrame([row for part in parts for row in part])
 
 
-def _rows(key: tuple[str, str], walks: Sequence[Walk], settings: Sequence[Setting]) -> list[dict[str, Any]]:
-    prepared = [_Prepared(walk) for walk in walks]
-    total = sum(int(p.scored.sum()) for p in prepared)
-    rows = []
-    for setting in settings:
-        decisions = [(p, p.rule.decide(setting.options)) for p in prepared]
-        name = dict(zip(("scene", "model"), key, strict=True)) | {"varied": setting.varied}
-        name |= {threshold: getattr(setting.options, threshold) for threshold in VALUES}
-        for subset, position_m, rotation_deg, sure in _subsets(decisions):
-            rows.append(name | {"subset": subset} | figures(position_m, rotation_deg, sure, total))
-    return rows
+def _rows(key: tuple[str, str], walks: Sequence[Walk], setting: Setting) -> list[dict[str, Any]]:
+    """The paper's rp+opt, and all frames in time."""
+    run = Run("", "", key[1])
+    errors = stacked(error_rows(fuse(run, walk, PaperRule(setting.options))) for walk in walks)
+    row = {"scene": key[0], "model": key[1], "varied": setting.varied}
+    row |= {threshold: getattr(setting.options, threshold) for threshold in VALUES}
+    answered = errors[errors["status"].isin(SUBSETS["rp+opt"])]
+    return [
+        row | {"subset": subset} | figures(*score_columns(frames, prefix), len(errors))
+        for subset, frames, prefix in (("rp+opt", answered, ""), ("all", errors, "live_"))
+    ]
 
 
-class _Prepared:
-    """A walk ready for any number of settings: the rule's own preparation, and the errors of predictions."""
-
-    def __init__(self, walk: Walk) -> None:
-        self.walk = walk
-        self.rule = RuleWalk(walk)
-        self.scored = known(walk.map_T_cam)
-        self.sure = walk.sure
-        self.apr_position_m, self.apr_rotation_deg = pose_errors(walk.map_T_cam_apr, walk.map_T_cam)
-
-    def errors(self, poses: Array, passed: Flags) -> tuple[Array, Array]:
-        """Errors (N,) of poses (N, 4, 4), which are predictions where `passed`."""
-        position_m, rotation_deg = self.apr_position_m.copy(), self.apr_rotation_deg.copy()
-        others = ~passed
-        position_m[others], rotation_deg[others] = pose_errors(poses[others], self.walk.map_T_cam[others])
-        return position_m, rotation_deg
+_LABELS = {"n": "N", "d_th_m": "$d_{th}$ (m)", "o_th_deg": "$o_{th}$ (°)", "gamma": "$\\gamma$"}
+_ROWS = (
+    ("position_mean_m", "mean position error (m)"),
+    ("rotation_mean_deg", "mean rotation error (°)"),
+    ("frames_pct", "frames with a pose (%)"),
+)
+_LINES = {"rp+opt": ("-", "reliable and optimised"), "all": ("--", "all frames, in time")}
+_COLOURS = tuple(colours.LOCALISERS.values())
 
 
-def _subsets(decisions: Iterable[tuple[_Prepared, Decisions]]) -> Iterator[tuple[str, Array, Array, Flags]]:
-    """Subset, errors in metres and in degrees, and whether the ground truth is sure enough for the accuracy levels:
-    the paper's rp+opt, and all frames in time."""
-    parts: dict[str, list[tuple[Array, Array, Flags]]] = {"rp+opt": [], "all": []}
-    for prepared, decided in decisions:
-        for subset, status, poses in (
-            ("rp+opt", decided.status, decided.map_T_cam),
-            ("all", decided.live_status, decided.live_map_T_cam),
-        ):
-            reliable = status == str(Status.RELIABLE)
-            counted = prepared.scored.copy()
-            if subset == "rp+opt":
-                counted &= reliable | (status == str(Status.OPTIMISED))
-            position_m, rotation_deg = prepared.errors(poses, reliable | (status == str(Status.PREDICTED)))
-            parts[subset].append((position_m[counted], rotation_deg[counted], prepared.sure[counted]))
-    for subset, errors in parts.items():
-        position_m, rotation_deg, sure = (np.concatenate(e) for e in zip(*errors, strict=True))
-        yield subset, position_m, rotation_deg, sure
+def write_sweep_figure(sweep: pd.DataFrame, defaults: dict[str, float], path: Path) -> None:
+    """Draw the rows of fuse.sweep that vary one threshold: a column each, a colour for each scene and model; the value
+    in force elsewhere is dotted. The suffix of `path` is the format."""
+    single = sweep[sweep["varied"] != ""]
+    groups = list(single.groupby(["scene", "model"], sort=False))
+    figure = Figure(figsize=(10, 6.5), layout="constrained")
+    axes = figure.subplots(len(_ROWS), len(VALUES), sharey="row", sharex="col")
+    for column, threshold in enumerate(VALUES):
+        for row, (name, label) in enumerate(_ROWS):
+            ax = axes[row, column]
+            for number, (key, rows) in enumerate(groups):
+                _draw(ax, rows[rows["varied"] == threshold], threshold, name, number, " ".join(map(str, key)))
+            ax.axvline(defaults[threshold], color="grey", lw=0.8, ls=":")
+            ax.spines[["top", "right"]].set_visible(False)
+            ax.set_ylim(bottom=0)
+            if column == 0:
+                ax.set_ylabel(label)
+        axes[-1, column].set_xlabel(_LABELS[threshold])
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=8, frameon=False)
+    figure.savefig(path)
+
+
+def _draw(ax: Axes, rows: pd.DataFrame, threshold: str, name: str, number: int, who: str) -> None:
+    colour: Any = [part / 255 for part in _COLOURS[number % len(_COLOURS)]]
+    for subset, (dashes, frames) in _LINES.items():
+        part = rows[rows["subset"] == subset].sort_values(threshold)
+        values = part["coverage_pct"] * part["frames_pct"] / 100 if name == "frames_pct" else part[name]
+        ax.plot(part[threshold], values, color=colour, ls=dashes, marker="o", ms=3, lw=1.2, label=f"{who}: {frames}")

@@ -16,15 +16,12 @@ ERRORS = ["position_mean_m", "rotation_mean_deg"]
 
 
 def validation_rows(walks: list[Walk], model: str, options: Mapping[str, MethodOptions]) -> pd.DataFrame:
-    """Rows of table fuse.validation of one scene and model: each causal method on held-out frames' walks.
-
-    Without what methods learn of the regressor's errors beforehand: that comes from these very frames.
-    """
+    """Rows of table fuse.validation of one scene and model: each causal method on held-out frames' walks."""
     rows: list[dict[str, Any]] = []
     for name, chosen in options.items():
         if not method(name).causal:
             continue
-        fused = fuse_all(Run(name, "", model), walks, partial(method(name).localiser, chosen))
+        fused = fuse_all(Run(name, "", model), walks, partial(method(name).make, chosen))
         position, rotation = np.concatenate([pose_errors(f.live_map_T_cam, f.walk.map_T_cam) for f in fused], axis=1)
         judged = sum(int(np.isfinite(w.map_T_cam).all(axis=(1, 2)).sum()) for w in walks)
         answered = np.isfinite(position)

@@ -33,12 +33,12 @@ def refuse_scalar_first(walks: Sequence[Walk], where: str) -> None:
             ("frames and ground truth", _as_w_first, _as_w_first),
         ):
             _refuse_if_closer(given, turns(read_truth, read_vio), f"{what} {where}")
-    predicted = [known(w.map_T_cam_apr) & known(w.map_T_cam) for w in walks]
-    true = np.concatenate([w.map_T_cam[there] for w, there in zip(walks, predicted, strict=True)])
-    apr = np.concatenate([w.map_T_cam_apr[there] for w, there in zip(walks, predicted, strict=True)])
-    given = _median([rotation_error_deg(apr, true)])
+    both = [known(w.map_T_cam_predicted) & known(w.map_T_cam) for w in walks]
+    true = np.concatenate([w.map_T_cam[there] for w, there in zip(walks, both, strict=True)])
+    predicted = np.concatenate([w.map_T_cam_predicted[there] for w, there in zip(walks, both, strict=True)])
+    given = _median([rotation_error_deg(predicted, true)])
     if given > _FAR_DEG:
-        _refuse_if_closer(given, _median([rotation_error_deg(_as_w_first(apr), true)]), f"predictions {where}")
+        _refuse_if_closer(given, _median([rotation_error_deg(_as_w_first(predicted), true)]), f"predictions {where}")
 
 
 def _pairs(map_T_cam: Array, vio_T_cam: Array) -> tuple[Array, Array, Array]:

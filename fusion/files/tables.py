@@ -3,23 +3,18 @@
 import contextlib
 import hashlib
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-
-import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from groundwalk.fusion.evaluation.evaluate import (
     FuseSettings,
-    Inputs,
     evaluate,
     joined_walks,
     report_lines,
     rule_options,
 )
-from groundwalk.fusion.evaluation.sweep import around, grid, sweep
-from groundwalk.fusion.evaluation.sweep_figure import write_sweep_figure
+from groundwalk.fusion.evaluation.sweep import around, grid, sweep, write_sweep_figure
+from groundwalk.fusion.files.parquet import Files
 from groundwalk.fusion.recording import blueprint, record
 from groundwalk.fusion.walk import with_odometry
 from groundwalk.store import DataRoot, UserError
@@ -28,27 +23,9 @@ from groundwalk.store.progress import console
 from groundwalk.store.recording import open_recording
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import SHIPPED_DATA, resolve_settings
-from groundwalk.store.tables import dataset_frames, write_table
+from groundwalk.store.tables import write_table
 
 _NOTE = "evaluation.json"
-
-
-@dataclass(frozen=True)
-class Files:
-    """The three tables of one scene, as Parquet."""
-
-    frames: Path
-    ground_truth: Path
-    predictions: Path
-
-    def read(self, scene: str) -> Inputs:
-        """UserError where a file isn't a Parquet table."""
-        frames = _read(self.frames)
-        if "split" not in frames.columns:
-            frames = frames.assign(split="test")
-        if "support" in frames.columns:
-            frames = dataset_frames(frames)
-        return Inputs(scene, frames, _read(self.ground_truth), _read(self.predictions))
 
 
 def evaluate_files(files: Files, out: Path, scene: str, overrides: list[str], force: bool = False) -> None:
@@ -118,21 +95,3 @@ def _write_note(folder: Path, files: Files, scene: str, settings: FuseSettings, 
 
 def _settings(scene: str, overrides: list[str]) -> FuseSettings:
     return resolve_settings(FuseSettings, "fuse", DataRoot(SHIPPED_DATA), "demo", scene, overrides)
-
-
-def _read(path: Path) -> pd.DataFrame:
-    """A Parquet table; UserError where there is none."""
-    if not path.is_file():
-        actual = "a folder" if path.is_dir() else None
-        raise UserError("there is no such table", where=path, expected="a Parquet file", found=actual)
-    try:
-        table = pq.read_table(path)
-        # A table whose frames are pandas' index has them as columns again.
-        frame: pd.DataFrame = table.to_pandas(ignore_metadata=True)
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise UserError("a table can't be read", where=path, found=error, expected="a Parquet file") from None
-    twice = frame.columns[frame.columns.duplicated()]
-    if len(twice):
-        raise UserError("a table has a column twice", where=path, found=twice[0])
-    # Dictionaries of texts are texts.
-    return frame.astype(dict.fromkeys(frame.select_dtypes("category").columns, object))

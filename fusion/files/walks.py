@@ -32,6 +32,18 @@ TRUTH_COLUMNS = ["frame_id"]
 PREDICTION_COLUMNS = ["model", "frame_id"]
 
 
+@dataclass(frozen=True)
+class Inputs:
+    """One scene's frames, ground truth and predictions; `made_here` are the models whose predictions the stages train
+    and localise made, so that the order of their quaternions is known."""
+
+    scene: str
+    frames: pd.DataFrame
+    truth: pd.DataFrame
+    predictions: pd.DataFrame
+    made_here: frozenset[str] = frozenset()
+
+
 @dataclass
 class Evaluated:
     """The walks of one scene and model, and the rows that were not what they should be, counted by what was wrong."""
@@ -202,10 +214,10 @@ def _refused(frames: pd.DataFrame, predictions: pd.DataFrame) -> Flags:
 
 def _outside(apr_T: Array, true_T: Array) -> int:
     """How many predicted positions lie farther from the box around the ground truth than that box is large."""
-    true, apr = true_T[known(true_T), :3, 3], apr_T[known(apr_T), :3, 3]
+    true, predicted = true_T[known(true_T), :3, 3], apr_T[known(apr_T), :3, 3]
     low, high = true.min(axis=0), true.max(axis=0)
     extent_m = max(float(np.linalg.norm(high - low)), _SMALLEST_PLACE_M)
-    away_m = np.linalg.norm(np.maximum(0, np.maximum(low - apr, apr - high)), axis=1)
+    away_m = np.linalg.norm(np.maximum(0, np.maximum(low - predicted, predicted - high)), axis=1)
     return int((away_m > extent_m).sum())
 
 

@@ -2,15 +2,11 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-from groundwalk.fusion.methods.localiser import MethodOptions, Stepping
+from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.store.registry import Colour, Entry, Registry, callable_faults, colour_faults
 from groundwalk.store.settings import validated
-
-if TYPE_CHECKING:
-    from groundwalk.fusion.methods.error_map import ErrorMap
-    from groundwalk.fusion.methods.offline import Offline
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +16,6 @@ class Method(Entry):
     make: a fresh one with a `step` as `Localiser` has it, or an `Offline` where causal is false.
     colour: of its poses in recordings. visible: recordings show it at first; others are switched on in the viewer.
     fuses: it uses odometry; the one that doesn't is the raw regressor, which the others are held against.
-    learns: `make(options, error_map)` takes an `ErrorMap` of the regressor in the scene, where there is one.
     causal: it answers a frame from that frame and the ones before it, as an app must. One that isn't makes an
     `Offline`, which sees whole walks; tables say so and never rank it with the causal ones.
     gives_covariance: its estimates have covariances.
@@ -31,18 +26,13 @@ class Method(Entry):
     noun: ClassVar[str] = "fusion method"
 
     colour: Colour
-    make: "Callable[..., Stepping | Offline]" = field(repr=False)
+    make: Callable[..., Any] = field(repr=False)
     options: type[MethodOptions]
     causal: bool
     gives_covariance: bool
     fuses: bool = True
-    learns: bool = False
     needs_vertical: bool = False
     visible: bool = False
-
-    def localiser(self, options: MethodOptions, error_map: "ErrorMap | None" = None) -> "Stepping | Offline":
-        """A fresh one. `error_map` is what held-out frames say of the regressor; most methods have no use for it."""
-        return self.make(options, error_map) if self.learns else self.make(options)
 
     def faults(self) -> Iterable[str]:
         yield from super().faults()

@@ -3,46 +3,40 @@ again.
 
 Odometry and map are both gravity-aligned, so odometry drifts in yaw and position only. Predictions are kept as
 keyframes (keyframes.py); with each new one the alignment's whole course is fitted to all of them anew
-(fit.py), so that what a prediction counts is decided in calibration. Where the newest ones are explained
-better by another alignment, odometry has lost its frame, or found it again (alternatives.py)."""
+(fit.py), so that what a prediction counts is decided again with each that follows. Where the newest ones are
+explained better by another alignment, odometry has lost its frame, or found it again (alternatives.py)."""
 
 from math import acos, cos, degrees, hypot, isnan, log, nan, pi, radians, sin, sqrt
-from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from groundwalk.fusion.methods.error_map import ErrorMap
-from groundwalk.fusion.methods.estimator.alignment_covariance import alignment_covariance
 from groundwalk.fusion.methods.estimator.alternatives import (
-    SAME_START,
+    PLACE,
     SIGN,
     Alternative,
     adopt,
     best_alternative,
     lost_variances,
+    starts_here,
 )
-from groundwalk.fusion.methods.estimator.calibration import Calibration, PastEstimate
-from groundwalk.fusion.methods.estimator.carried_pose import carried_pose, yaw_and_lean
-from groundwalk.fusion.methods.estimator.error_correlation import position_variances
-from groundwalk.fusion.methods.estimator.error_covariance import (
+from groundwalk.fusion.methods.estimator.calibration import Calibration
+from groundwalk.fusion.methods.estimator.fit import DOF, Belief, Fit, alignment_covariance, innovation, iterate
+from groundwalk.fusion.methods.estimator.keyframes import Keyframes
+from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality
+from groundwalk.fusion.methods.estimator.odometry_step import CERTAIN, OdometryStep
+from groundwalk.fusion.methods.estimator.prediction_errors import (
     Prior,
+    expected_variances,
     shrinkage_of,
     shrunk,
     side_turn_correlation,
-    sizes_expected,
     whitening,
-    whitening_of_covariance,
 )
-from groundwalk.fusion.methods.estimator.fit import DOF, Belief, Fit, innovation, iterate
-from groundwalk.fusion.methods.estimator.keyframes import Keyframes
-from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality, expected_variances
-from groundwalk.fusion.methods.estimator.odometry_step import CERTAIN, OdometryStep
-from groundwalk.fusion.methods.estimator.robust import middle
-from groundwalk.fusion.methods.localiser import Estimate, Localiser, State, Status, array, plain
+from groundwalk.fusion.methods.localiser import Estimate, Localiser, Status
 from groundwalk.fusion.methods.odometry import OdometryOptions
-from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
+from groundwalk.geometry.poses import Array, heading, make_pose, yaw_rotation
 from groundwalk.scoring.errors import pose_error
 
 # Standing still drifts a little too: what a second adds to the variances, of what a metre does.
@@ -57,12 +51,11 @@ _JUMP_S, _JUMP_M_S, _JUMP_DEG, _JUMP_TURN_DEG_S = 2.0, 0.5, 3.0, 60.0
 _LOSS, _LOSS_IN_A_JUMP = 1e-6, 0.05  # probability that odometry lost its frame: at any prediction, and in a jump
 _TURN_LENGTH_M = 1.0  # motion that a turn by one radian counts as
 _SIDE_TURN, _SIDE_TURN_COUNT = 0.7, 20.0  # correlation of errors to the side with yaw's, and predictions it counts as
-# Predictions that their errors' sizes count as which are assumed first, known from held-out frames, stated by
-# covariances, and seen beside odometry.
-_SIZE_COUNT, _SIZE_COUNT_KNOWN, _SIZE_COUNT_STATED, _SIZE_COUNT_SEEN = 0.3, 20.0, 10.0, 2.0
+# Predictions that errors' sizes count as which are assumed first, stated by covariances, and seen beside odometry.
+_SIZE_COUNT, _SIZE_COUNT_STATED, _SIZE_COUNT_SEEN = 0.3, 10.0, 2.0
 _AXIS_COUNT, _AXIS_COUNT_STATED = 10.0, 100.0  # predictions that errors' being as large along each axis counts as
-_JITTER_DEG, _JITTER_M = 0.1, 0.003  # of odometry's pose of one frame: real captures' VIO against their images
-_NOTHING = np.zeros(4)
+# Of odometry's pose of one frame, one sigma an axis: ARKit beside the ground truth of three real captures.
+_JITTER_DEG, _JITTER_M = 0.05, 0.002
 _LEAST_DRIFT = np.array([1e-8, 1e-8, 1e-8, 1e-10])
 _SETTLING = 20
 _WORTH_A_LOOK = 2.0  # squared error, over the usual one, of a prediction that may be of another alignment
@@ -82,37 +75,24 @@ class DriftAwareOptions(OdometryOptions):
     keyframes: int = Field(64, ge=8, description="predictions kept as evidence")
 
 
-class _Extrapolation(NamedTuple):
-    """What odometry makes of a keyframe for another camera: its position and yaw (4,), the keyframe's index and
-    covariance (4, 4) in map axes, and what the way between both adds to the variances (4,)."""
-
-    state: Array
-    keyframe: int
-    bound: Array
-    added: Array
-
-
 class DriftAware(Localiser):
     """Every frame from the first prediction on gets a pose and a covariance."""
 
     options: DriftAwareOptions
+    _not_saved = (*Localiser._not_saved, "_prior", "_last")
 
-    def __init__(
-        self, options: DriftAwareOptions | None = None, error_map: ErrorMap | None = None, lag_s: float = 0.0
-    ) -> None:
+    def __init__(self, options: DriftAwareOptions | None = None, lag_s: float = 0.0) -> None:
         """`lag_s`: how old a frame that `revised` is asked for may be. Predictions up to that age are all kept."""
         super().__init__()
         self._lag_s = lag_s
         self.options = o = options or DriftAwareOptions()
-        self._error_map = error_map
         self._prior = Prior(side_turn_correlation(_SIDE_TURN), _SIDE_TURN_COUNT, _SIZE_COUNT, _AXIS_COUNT)
         self._usual_sizes = np.repeat([radians(o.rotation_sd_deg), o.position_sd_m], 3)
         yaw_m, position, height = radians(o.drift_deg_m) ** 2, o.drift_m**2, (_HEIGHT_DRIFT * o.drift_m) ** 2
         self._drift_a_metre = np.array([position, height, position, yaw_m])
         self._drift_a_second = _STANDING * self._drift_a_metre
         self._drift_a_second[3] = _STANDING_YAW * yaw_m
-        tilt, yaw = radians(o.tilt_sd_deg) ** 2, radians(_JITTER_DEG) ** 2
-        self._jitter = np.diag([tilt, yaw, tilt, *3 * [_JITTER_M**2]])
+        self._jitter = np.diag(np.repeat([radians(_JITTER_DEG), _JITTER_M], 3) ** 2)
         self._forget()
 
     def _forget(self) -> None:
@@ -123,11 +103,11 @@ class DriftAware(Localiser):
         self._bound: Array | None = None  # covariance (4, 4) of the newest keyframe's x, y, z and yaw, in map axes
         self._vio: tuple[int, Array] | None = None
         self._odometry_step = OdometryStep()
-        self._drift_factors = np.ones(4)  # factors of odometry's drift variances: x, y, z, yaw
+        # Of odometry's vertical against the map's, about its x and z (rad), and the variance an axis.
+        self._lean, self._lean_variance = np.zeros(2), radians(self.options.tilt_sd_deg) ** 2
         self._quality = OdometryQuality()
         self._calibration = Calibration()
-        self._predicted_at_m = 0.0  # `_along_m` at the newest prediction
-        self._along_m = 0.0
+        self._along_m = 0.0  # motion since the start, turns counted in
         self._drift = np.zeros(4)  # variances since the newest keyframe
         self._yaw_covariance = [0.0, 0.0]  # of x and z since then, by steps after the yaw has drifted
         self._segment = 0
@@ -141,11 +121,11 @@ class DriftAware(Localiser):
     # ------------------------------------------------------------ a frame
 
     def _advance(
-        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_apr: Array | None, gravity: Array | None
+        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None, gravity: Array | None
     ) -> Estimate:
         if vio_T_cam is None:
             self._may_be_lost |= self._vio is not None
-            return self._without_odometry(map_T_cam_apr)
+            return self._without_odometry(map_T_cam_predicted)
         reasons: tuple[str, ...] = ()
         if self._vio is None:
             self._odometry_step.begin(vio_T_cam[:3, 3])
@@ -153,15 +133,15 @@ class DriftAware(Localiser):
             self._may_be_lost = True
             reasons = ("odometry_jump",)
         self._vio = (t_ns, vio_T_cam)
-        if map_T_cam_apr is None:
+        if map_T_cam_predicted is None:
             if not len(self._keyframes):
                 return Estimate(None, Status.NONE, reasons=("no_prediction",))
             return self._estimate(vio_T_cam, (*reasons, "no_prediction"), {})
         if not len(self._keyframes):
             reasons = ("first_prediction",)
-        self._add_keyframe(t_ns, vio_T_cam, map_T_cam_apr)
+        self._add_keyframe(t_ns, vio_T_cam, map_T_cam_predicted)
         signals = self._fit()
-        return self._estimate(vio_T_cam, reasons, signals, map_T_cam_apr if self._shrinkage is not None else None)
+        return self._estimate(vio_T_cam, reasons, signals, map_T_cam_predicted)
 
     def _move(self, t_ns: int, vio_T_cam: Array) -> bool:
         """Count the motion since the last frame; returns whether odometry jumped."""
@@ -197,24 +177,21 @@ class DriftAware(Localiser):
         self._drift = self._drift + np.array([more, 0.0, more, 0.0])
         self._yaw_covariance = [x + dz * yaw, z - dx * yaw]
 
-    def _add_keyframe(self, t_ns: int, vio_T_cam: Array, map_T_cam_apr: Array) -> None:
+    def _add_keyframe(self, t_ns: int, vio_T_cam: Array, map_T_cam_predicted: Array) -> None:
         """Keep a prediction as the newest keyframe."""
-        yaw, lean = yaw_and_lean(map_T_cam_apr[:3, :3] @ vio_T_cam[:3, :3].T)
-        position = map_T_cam_apr[:3, 3]
-        sizes = self._usual_sizes
-        if self._error_map is not None:
-            expected = self._error_map.expected(position, map_T_cam_apr[:3, 2])
-            sizes = sizes_expected(expected)
-            yaw -= float(expected.error[0])
-            position = position - expected.error[1:]
-        stated = self._apr_covariance
+        map_R_vio, position = map_T_cam_predicted[:3, :3] @ vio_T_cam[:3, :3].T, map_T_cam_predicted[:3, 3]
+        yaw = float(heading(map_R_vio))
+        # What is left has no yaw: its axis lies in the horizontal plane.
+        tilt_x, _, tilt_z = Rotation.from_matrix(map_R_vio @ yaw_rotation(-yaw)).as_rotvec()
+        stated = self._predicted_covariance
         if stated is None:
             self._shrinkage = None
-            normalised = whitening(sizes, vio_T_cam[:3, :3])
+            expected = np.diag(self._usual_sizes**2)
         else:
-            self._shrinkage = shrinkage_of(stated, (self._drift_factors * self._drift + _LEAST_DRIFT)[:3])
-            beside_odometry = shrunk(stated, self._shrinkage) + self._jitter
-            normalised = whitening_of_covariance(beside_odometry, map_T_cam_apr[:3, :3], vio_T_cam[:3, :3])
+            self._shrinkage = shrinkage_of(stated, (self._quality.factors * self._drift + _LEAST_DRIFT)[:3])
+            turn = np.kron(np.eye(2), map_T_cam_predicted[:3, :3])
+            expected = turn.T @ (shrunk(stated, self._shrinkage) + self._jitter) @ turn
+        normalised = whitening(expected, vio_T_cam[:3, :3])
         state = self._carried(vio_T_cam[:3, 3]) if len(self._keyframes) else np.array([*position, yaw])
         self._learn_quality(position, yaw, normalised, state, vio_T_cam)
         bridged = self._odometry_step.added_variance.any()
@@ -223,7 +200,7 @@ class DriftAware(Localiser):
             self._count = 0
         self._keyframes.add(
             whitening=normalised,
-            measured=(*position.tolist(), yaw, *lean),
+            measured=(*position, yaw, tilt_x, tilt_z),
             vio=vio_T_cam[:3, 3],
             forward=vio_T_cam[:3, 2],
             step=self._odometry_step.step(vio_T_cam[:3, 3]),
@@ -236,7 +213,6 @@ class DriftAware(Localiser):
             odds=self._odometry_step.odds,
             state=state,
             posterior=self._keyframes.rows[-1]["posterior"] if len(self._keyframes) else 0.0,
-            age=0.0,
             along=self._along_m,
             time_s=t_ns * 1e-9,
             segment=self._segment,
@@ -248,26 +224,20 @@ class DriftAware(Localiser):
         self._unconfirmed -= 1
 
     def _learn_quality(self, position: Array, yaw: float, normalised: Array, state: Array, vio_T_cam: Array) -> None:
-        way = np.zeros(3)
-        self._quality.sizes_known = self._shrinkage is not None or self._error_map is not None
-        self._quality.paused = self._inconsistent
         if self._may_be_lost:
             self._quality.lost()
-        elif len(self._keyframes):
-            way = np.array(self._odometry_step.step(vio_T_cam[:3, 3]))
+        self._quality.paused = self._inconsistent
         # A yaw is measured as it was before, give or take half a turn.
         turned = state[3] + (yaw - state[3] + pi) % (2 * pi) - pi
         self._quality.update(
             np.array([*position, turned]),
             expected_variances(normalised),
-            way,
-            self._along_m - self._predicted_at_m,
+            np.zeros(3) if self._may_be_lost else np.array(self._odometry_step.step(vio_T_cam[:3, 3])),
+            self._along_m - (self._keyframes.rows[-1]["along"] if len(self._keyframes) else 0.0),
             self._drift,
-            state[3],
-            1.0 if self._known is None else float(self._known[3, 3]),
+            (state[3], 1.0 if self._known is None else float(self._known[3, 3])),
+            self._shrinkage is not None,
         )
-        self._predicted_at_m = self._along_m
-        self._drift_factors = self._quality.factors
 
     def _carried(self, vio: Array, keyframe: int = -1) -> Array:
         """Position and yaw (4,) of a camera: a keyframe's, by default the newest's, moved on to odometry's position
@@ -289,17 +259,17 @@ class DriftAware(Localiser):
         fit = self._iterated(newest)
         if 2 * len(keyframes) <= self.options.keyframes:  # while there are few, each new one changes much
             fit = self._iterated()
-        usual = middle(fit.squared)
+        usual = np.median(fit.squared)
         self._ambiguous = self._inconsistent = bool(fit.squared[-_INCONSISTENT:].min() > _FARTHER_OFF * usual)
         gain = -np.inf
         if len(keyframes) > 1 and fit.squared[-1] > _WORTH_A_LOOK * usual:
-            alternative = self._best_alternative(fit)
+            alternative = best_alternative(keyframes.rows, self._covariance, fit.squared)
             if alternative is not None:
                 gain = alternative.gain
                 if alternative.gain > 0:
                     self._adopt(alternative)
                     fit = self._iterated()
-                self._ambiguous |= alternative.evidence > -_DOUBT
+                self._ambiguous |= alternative.gain > -_DOUBT
         self._known = fit.solution.covariance[-1]
         self._bound = alignment_covariance(keyframes.rows, fit, len(keyframes) - 1)
         self._calibrate()
@@ -311,11 +281,10 @@ class DriftAware(Localiser):
     def _calibrate(self) -> None:
         """Hold earlier answers against what is known of their poses by now, and remember the newest one."""
         newest = self._keyframes.rows[-1]
-        for past in self._calibration.due(float(newest["time_s"])):
-            self._calibration.compare(past, self._between(past.vio, self._before(past.time_s))[0])
+        for time_s, vio, state, bound in self._calibration.due(float(newest["time_s"])):
+            self._calibration.compare(state, bound, self._between(vio, self._before(time_s))[0])
         assert self._bound is not None
-        now = PastEstimate(float(newest["time_s"]), newest["vio"].copy(), newest["state"].copy(), self._bound)
-        self._calibration.remember(now)
+        self._calibration.remember((float(newest["time_s"]), newest["vio"].copy(), newest["state"].copy(), self._bound))
 
     def settle(self) -> None:
         """Iterate the fit until it hardly changes, as `smoother` does at a walk's end."""
@@ -323,21 +292,30 @@ class DriftAware(Localiser):
             for _ in range(_SETTLING):
                 self._iterated()
 
-    def revised(self, t_ns: int, vio_T_cam: Array) -> Estimate | None:
+    def revised(
+        self,
+        t_ns: int,
+        vio_T_cam: Array,
+        map_T_cam_predicted: Array | None = None,
+        predicted_covariance: Array | None = None,
+    ) -> Estimate | None:
         """What is known by now of an earlier frame's pose (4, 4) in odometry's frame; None before any prediction."""
         keyframes = self._keyframes
         if not len(keyframes):
             return None
-        if self._last is None:
-            self._iterated()
         assert self._last is not None
-        state, nearest = self._between(vio_T_cam[:3, 3], self._before(t_ns * 1e-9))
+        at = self._before(t_ns * 1e-9)
+        state, nearest = self._between(vio_T_cam[:3, 3], at)
         bound = alignment_covariance(keyframes.rows, self._last, nearest)
-        return self._posed(vio_T_cam, _Extrapolation(state, nearest, bound, _NOTHING), Status.FUSED, (), {})
+        pose, alignment, covariance = self._posed(vio_T_cam, state, nearest, bound, np.zeros(4))
+        if map_T_cam_predicted is not None and keyframes.rows["time_s"][at] == t_ns * 1e-9:
+            of_prediction = self._covariance_of(map_T_cam_predicted, predicted_covariance)
+            pose, covariance = self._corrected(pose, covariance, map_T_cam_predicted, of_prediction, at)
+        return Estimate(pose, Status.FUSED, covariance, alignment)
 
     def _before(self, time_s: float) -> int:
         """The last keyframe at a time or before it, or else the first."""
-        return max(int(np.searchsorted(self._keyframes.column("time_s"), time_s + 1e-6, side="right")) - 1, 0)
+        return max(int(np.searchsorted(self._keyframes.rows["time_s"], time_s + 1e-6, side="right")) - 1, 0)
 
     def _between(self, vio: Array, at: int) -> tuple[Array, int]:
         """Position and yaw (4,) of a camera, at odometry's position (3,), between a keyframe and the next, and the
@@ -355,66 +333,54 @@ class DriftAware(Localiser):
 
     @property
     def _belief(self) -> Belief:
-        prior = self._prior
+        # Sizes that were assumed first are forgotten as predictions come, so that small errors soon show.
+        prior = self._prior._replace(size_count=_SIZE_COUNT / (1 + len(self._keyframes)))
+        lean_variance = radians(self.options.tilt_sd_deg) ** 2
         if self._shrinkage is not None:
             # Errors whitened by stated covariances have one common factor, as far as those are believed.
             believed = 1 - self._shrinkage
             shape = believed * np.eye(6) + (1 - believed) * prior.shape
             axis_count = believed * _AXIS_COUNT_STATED + (1 - believed) * _AXIS_COUNT
             prior = prior._replace(shape=shape, size_count=_SIZE_COUNT_STATED, axis_count=axis_count)
-        elif self._error_map is not None:
-            prior = prior._replace(size_count=_SIZE_COUNT_KNOWN)
         if self._quality.is_known:
             count = prior.size_count + _SIZE_COUNT_SEEN
             prior = prior._replace(sizes=self._quality.sizes, size_count=count)
-        return Belief(prior, self._covariance, self._drift_factors)
+        return Belief(prior, self._covariance, self._quality.factors, self._lean, lean_variance)
 
     def _iterated(self, newest: float = nan) -> Fit:
         self._last = iterate(self._keyframes.rows, self._belief, newest)
         self._covariance = self._last.covariance
+        self._lean, self._lean_variance = self._last.lean, self._last.lean_variance
         return self._last
-
-    def _best_alternative(self, fit: Fit) -> Alternative | None:
-        return best_alternative(self._keyframes.rows, self._covariance, fit.squared)
 
     def _adopt(self, alternative: Alternative) -> None:
         """Change to another alignment from some keyframe on."""
         self._quality.lost()
         keyframes = self._keyframes
-        before = keyframes.column("state")[alternative.begin].copy()
+        starts = starts_here(keyframes.rows, alternative.begin, alternative.kept)
         adopt(keyframes.rows, alternative)
-        if alternative.kept == SAME_START:
-            return
         if isnan(alternative.segment):
-            if self._is_farther_than_a_jump(alternative.begin, before):
-                self._unconfirmed = self._count - 2 * (len(keyframes) - alternative.begin)
-            self._segment += 1
-            keyframes.column("segment")[alternative.begin :] = self._segment
-            keyframes.column("added_variance")[alternative.begin] = lost_variances(alternative.kept)
-            keyframes.column("odds")[alternative.begin] = CERTAIN
+            if not starts:
+                # Without a sign a place rather looks like another one, or the walk began in such a place.
+                if alternative.kept != PLACE and keyframes.rows["kept_odds"][alternative.begin] >= SIGN:
+                    self._unconfirmed = self._count - 2 * (len(keyframes) - alternative.begin)
+                self._segment += 1
+                keyframes.rows["segment"][alternative.begin :] = self._segment
+                keyframes.rows["added_variance"][alternative.begin] = lost_variances(alternative.kept)
+                keyframes.rows["odds"][alternative.begin] = CERTAIN
             return
         self._unconfirmed = 0
         # An earlier alignment holds again: what lies between was another frame of odometry's, or wrong predictions.
-        segment = keyframes.column("segment")
+        segment = keyframes.rows["segment"]
         segment[alternative.begin :] = alternative.segment
         same = np.flatnonzero(segment == alternative.segment)
         before = int(same[same < alternative.begin][-1])
-        step = keyframes.column("vio")[alternative.begin] - keyframes.column("vio")[before]
-        keyframes.keep(np.concatenate([np.arange(before + 1), np.arange(alternative.begin, len(keyframes))]))
+        step = keyframes.rows["vio"][alternative.begin] - keyframes.rows["vio"][before]
+        for index in range(alternative.begin - 1, before, -1):
+            keyframes.remove(index)
         for name, value in (("step", step), ("turn", 0.0), ("added_variance", 0.0), ("odds", CERTAIN)):
-            keyframes.column(name)[before + 1] = value
-        self._segment = int(keyframes.column("segment")[-1])
-
-    def _is_farther_than_a_jump(self, index: int, before: Array) -> bool:
-        """Whether a keyframe, moved from a state (4,), is farther away than odometry can jump without a sign: then its
-        place rather looks like another, or the walk began in such a one."""
-        o, keyframes = self.options, self._keyframes
-        if keyframes.column("kept_odds")[index] < SIGN:
-            return False
-        moved = float(np.linalg.norm((keyframes.column("state")[index] - before)[:3]))
-        seconds = float(keyframes.column("time_s")[index] - keyframes.column("time_s")[index - 1])
-        sd = sqrt(float(position_variances(keyframes.rows, self._covariance)[index]))
-        return moved > o.vio_jump_m + o.vio_speed_m_s * seconds + 2 * sd
+            keyframes.rows[name][before + 1] = value
+        self._segment = int(keyframes.rows["segment"][-1])
 
     # ------------------------------------------------------------ answers
 
@@ -423,114 +389,66 @@ class DriftAware(Localiser):
         vio_T_cam: Array,
         reasons: tuple[str, ...],
         signals: dict[str, float],
-        map_T_cam_apr: Array | None = None,
+        map_T_cam_predicted: Array | None = None,
     ) -> Estimate:
-        """The newest frame's pose; `map_T_cam_apr` is its prediction, where that brought a covariance."""
+        """The newest frame's pose, with its prediction, if there is one."""
         assert self._bound is not None
         status = Status.LOST if self._ambiguous or self._may_be_lost or self._unconfirmed > 0 else Status.FUSED
-        added = self._drift_factors * self._drift + self._odometry_step.added
-        by_odometry = _Extrapolation(self._carried(vio_T_cam[:3, 3]), -1, self._bound, added)
-        return self._posed(vio_T_cam, by_odometry, status, reasons, signals, map_T_cam_apr)
+        added = self._quality.factors * self._drift + self._odometry_step.added
+        pose, alignment, covariance = self._posed(vio_T_cam, self._carried(vio_T_cam[:3, 3]), -1, self._bound, added)
+        if map_T_cam_predicted is not None:
+            of_prediction = self._covariance_of(map_T_cam_predicted, self._predicted_covariance)
+            pose, covariance = self._corrected(pose, covariance, map_T_cam_predicted, of_prediction, -1)
+        signals["position_sd_m"] = sqrt(sum(covariance.diagonal()[3:].tolist()))
+        return Estimate(pose, status, covariance, alignment, (), reasons, signals)
 
     def _posed(
-        self,
-        vio_T_cam: Array,
-        by_odometry: _Extrapolation,
-        status: Status,
-        reasons: tuple[str, ...],
-        signals: dict[str, float],
-        map_T_cam_apr: Array | None = None,
-    ) -> Estimate:
-        """The pose that odometry gives from a keyframe, its tilt by the prediction where that knows it better."""
-        keyframe = self._keyframes.rows[by_odometry.keyframe]["state"]
-        bound = self._calibration.inflation * by_odometry.bound
-        map_R_vio = yaw_rotation(by_odometry.state[3])
-        map_T_cam, map_T_vio, covariance = carried_pose(
-            by_odometry.state, map_R_vio, vio_T_cam, keyframe, bound, by_odometry.added
-        )
-        covariance += self._jitter
-        if map_T_cam_apr is not None:
-            map_T_cam, covariance = self._corrected(map_T_cam, covariance, map_T_cam_apr)
-        signals["position_sd_m"] = sqrt(sum(covariance.diagonal()[3:].tolist()))
-        return Estimate(map_T_cam, status, covariance, map_T_vio, (), reasons, signals)
+        self, vio_T_cam: Array, state: Array, keyframe: int, bound: Array, added: Array
+    ) -> tuple[Array, Array, Array]:
+        """map_T_cam and map_T_vio (4, 4), and the covariance (6, 6) of the pose's error, of a camera with this position
+        and yaw (4,): carried from a keyframe, of which `bound` (4, 4) is the covariance, over a way that adds to the
+        variances (4,)."""
+        lean = Rotation.from_rotvec([self._lean[0], 0.0, self._lean[1]]).as_matrix()
+        map_R_vio = yaw_rotation(state[3]) @ lean
+        map_T_cam = make_pose(map_R_vio @ vio_T_cam[:3, :3], state[:3])
+        map_T_vio = make_pose(map_R_vio, state[:3] - map_R_vio @ vio_T_cam[:3, 3])
+        slope = np.eye(6, 4, -3)  # of the pose's rotation and position by the keyframe's x, y, z and yaw
+        x, _, z, _ = state - self._keyframes.rows[keyframe]["state"]
+        slope[[1, 3, 5], 3] = 1.0, z, -x  # its yaw turns the way since
+        covariance = slope @ (self._calibration.inflation * bound) @ slope.T + self._jitter
+        covariance[range(6), range(6)] += self._lean_variance, added[3], self._lean_variance, *added[:3]
+        return map_T_cam, map_T_vio, covariance
 
-    def _corrected(self, map_T_cam: Array, covariance: Array, map_T_cam_apr: Array) -> tuple[Array, Array]:
-        """The pose and its covariance after the frame's own prediction: of the frame's pose odometry knows no more than
-        up to its jitter, and a prediction may know it better."""
-        assert self._apr_covariance is not None and self._last is not None
-        scale = self._common_factor(self._apr_covariance) / min(float(self._last.weights[-1]), 1.0)
-        of_prediction = scale * self._apr_covariance
-        gain = self._jitter @ np.linalg.inv(self._jitter + of_prediction)
-        step = gain @ pose_error(map_T_cam, map_T_cam_apr)
+    def _corrected(
+        self, map_T_cam: Array, covariance: Array, map_T_cam_predicted: Array, of_prediction: Array, keyframe: int
+    ) -> tuple[Array, Array]:
+        """The pose of a keyframe and its covariance after its own prediction: of a frame's pose odometry knows no more
+        than up to its jitter and its vertical, and a prediction may know it better."""
+        assert self._last is not None
+        of_prediction = of_prediction / min(float(self._last.weights[keyframe]), 1.0)
+        jitter = self._jitter + self._lean_variance * np.diag([1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+        gain = jitter @ np.linalg.inv(jitter + of_prediction)
+        step = gain @ pose_error(map_T_cam, map_T_cam_predicted)
         rotation = Rotation.from_rotvec(step[:3]).as_matrix() @ map_T_cam[:3, :3]
         # The state has followed the prediction already, so what it is off by doesn't average out. Student's t of so few
         # degrees of freedom has a larger covariance than its scale says.
         tails = (DOF / (DOF - 2) - 1) * gain @ of_prediction @ gain.T
-        return make_pose(rotation, map_T_cam[:3, 3] + step[3:]), covariance - gain @ self._jitter + tails
+        return make_pose(rotation, map_T_cam[:3, 3] + step[3:]), covariance - gain @ jitter + tails
 
-    def _common_factor(self, stated: Array) -> float:
-        """What predictions' own covariances (6, 6) are to be multiplied by: errors were learnt together with odometry's
-        jitter, beside which a small covariance can't be shown to be too large."""
+    def _covariance_of(self, map_T_cam_predicted: Array, stated: Array | None) -> Array:
+        """The covariance (6, 6) of a prediction in map axes: what it states, times a common factor, or what was learnt
+        of errors."""
+        if stated is None:
+            turn = np.kron(np.eye(2), map_T_cam_predicted[:3, :3])
+            return np.asarray(turn @ np.diag(self._usual_sizes**2 * self._covariance.diagonal()) @ turn.T)
+        # Errors were learnt beside odometry's jitter, which can't show that a small covariance is too large.
         learnt = float(self._covariance[3:, 3:].trace()) / 3
         variance, jitter = (float(matrix[3:, 3:].trace()) for matrix in (stated, self._jitter))
-        return max(1.0, (learnt * (variance + jitter) - jitter) / variance)
+        return max(1.0, (learnt * (variance + jitter) - jitter) / variance) * stated
 
-    def _without_odometry(self, map_T_cam_apr: Array | None) -> Estimate:
+    def _without_odometry(self, map_T_cam_predicted: Array | None) -> Estimate:
         """The prediction by itself."""
-        if map_T_cam_apr is None:
+        if map_T_cam_predicted is None:
             return Estimate(None, Status.NONE, reasons=("no_odometry", "no_prediction"))
-        size = self._usual_sizes
-        pose = map_T_cam_apr
-        if self._error_map is not None:
-            expected = self._error_map.expected(pose[:3, 3], pose[:3, 2])
-            size = sizes_expected(expected)
-            pose = make_pose(yaw_rotation(-expected.error[0]) @ pose[:3, :3], pose[:3, 3] - expected.error[1:])
-        if self._apr_covariance is not None:
-            covariance = self._common_factor(self._apr_covariance) * self._apr_covariance
-        else:
-            sd = size * np.sqrt(self._covariance.diagonal())
-            turn = np.kron(np.eye(2), pose[:3, :3])
-            covariance = turn @ np.diag(sd**2) @ turn.T
-        return Estimate(pose, Status.PREDICTED, covariance, reasons=("no_odometry",))
-
-    # ------------------------------------------------------------ the state as plain data
-
-    def _state(self) -> State:
-        return {
-            "keyframes": self._keyframes.save(),
-            "covariance": plain(self._covariance),
-            "known": plain(self._known),
-            "bound": plain(self._bound),
-            "vio": None if self._vio is None else [self._vio[0], plain(self._vio[1])],
-            "way": self._odometry_step.save(),
-            "along_m": self._along_m,
-            "drift": plain(self._drift),
-            "yaw_covariance": self._yaw_covariance,
-            "drift_factors": plain(self._drift_factors),
-            "quality": self._quality.save(),
-            "calibration": self._calibration.save(),
-            "predicted_at_m": self._predicted_at_m,
-            "segment": self._segment,
-            "count": self._count,
-            "may_be_lost": self._may_be_lost,
-            "ambiguous": self._ambiguous,
-            "inconsistent": self._inconsistent,
-            "unconfirmed": self._unconfirmed,
-            "shrinkage": self._shrinkage,
-        }
-
-    def _set_state(self, state: State) -> None:
-        self._forget()
-        self._keyframes.restore(state["keyframes"])
-        self._covariance, self._drift = np.array(state["covariance"]), np.array(state["drift"])
-        self._yaw_covariance = list(state["yaw_covariance"])
-        self._known, self._bound = array(state["known"]), array(state["bound"])
-        self._drift_factors, self._predicted_at_m = np.array(state["drift_factors"]), state["predicted_at_m"]
-        self._quality.restore(state["quality"])
-        self._calibration.restore(state["calibration"])
-        self._vio = None if state["vio"] is None else (state["vio"][0], np.array(state["vio"][1]))
-        self._odometry_step.restore(state["way"])
-        self._along_m, self._segment, self._count = state["along_m"], state["segment"], state["count"]
-        self._may_be_lost, self._ambiguous = state["may_be_lost"], state["ambiguous"]
-        self._inconsistent, self._unconfirmed = state["inconsistent"], state["unconfirmed"]
-        self._shrinkage = state["shrinkage"]
+        covariance = self._covariance_of(map_T_cam_predicted, self._predicted_covariance)
+        return Estimate(map_T_cam_predicted, Status.PREDICTED, covariance, reasons=("no_odometry",))

@@ -1,36 +1,36 @@
 """Records of groundwalk's own fusion methods."""
 
 from groundwalk.fusion.methods import Method
-from groundwalk.fusion.methods.apr import Apr, AprOptions
 from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.methods.error_state import ErrorState, ErrorStateOptions
 from groundwalk.fusion.methods.last_good import LastGood, LastGoodOptions
-from groundwalk.fusion.methods.mobilearloc import MobileARLoc, MobileARLocOptions
+from groundwalk.fusion.methods.paper_rule import PaperRule, PaperRuleOptions
 from groundwalk.fusion.methods.pose_graph import PoseGraph, PoseGraphOptions
+from groundwalk.fusion.methods.raw import Raw, RawOptions
 from groundwalk.fusion.methods.smoother import Smoother, SmootherOptions
 from groundwalk.fusion.methods.vio_oracle import VioOracle, VioOracleOptions
 from groundwalk.fusion.methods.window import Window, WindowOptions
 from groundwalk.store import colours
 
-APR = Method(
-    id="apr",
-    label="regressor alone",
-    meaning="the raw regressor",
+RAW = Method(
+    id="raw",
+    label="predictor alone",
+    meaning="the raw prediction",
     colour=colours.APR,
-    make=Apr,
-    options=AprOptions,
+    make=Raw,
+    options=RawOptions,
     causal=True,
     gives_covariance=False,
     fuses=False,
     visible=True,
 )
-MOBILEARLOC = Method(
-    id="mobilearloc",
+PAPER_RULE = Method(
+    id="paper_rule",
     label="VIO",
     meaning="the paper's rule",
     colour=colours.FUSED,
-    make=MobileARLoc,
-    options=MobileARLocOptions,
+    make=PaperRule,
+    options=PaperRuleOptions,
     causal=True,
     gives_covariance=False,
     visible=True,
@@ -84,7 +84,6 @@ DRIFT_AWARE = Method(
     options=DriftAwareOptions,
     causal=True,
     gives_covariance=True,
-    learns=True,
     needs_vertical=True,
     visible=True,
 )
@@ -97,7 +96,6 @@ SMOOTHER = Method(
     options=SmootherOptions,
     causal=False,
     gives_covariance=True,
-    learns=True,
     needs_vertical=True,
 )
 VIO_ORACLE = Method(

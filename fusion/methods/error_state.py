@@ -12,7 +12,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from groundwalk.fusion.methods.localiser import Estimate, State, Status, array, plain
+from groundwalk.fusion.methods.localiser import Estimate, Status
 from groundwalk.fusion.methods.odometry import OdometryLocaliser, OdometryOptions, raw
 from groundwalk.geometry.poses import Array, inverse, relative, skew
 
@@ -43,31 +43,31 @@ class ErrorState(OdometryLocaliser):
         self._P = self._noise.copy()
         self._refused = 0
 
-    def _fuse(self, t_ns: int, vio_T_cam: Array, map_T_cam_apr: Array | None) -> Estimate:
+    def _fuse(self, t_ns: int, vio_T_cam: Array, map_T_cam_predicted: Array | None) -> Estimate:
         if self._map_T_cam is not None and self._vio is not None:
             self._predict((t_ns - self._vio[0]) * 1e-9, relative(self._vio[1], vio_T_cam))
         signals: dict[str, float] = {}
         reasons: tuple[str, ...] = ()
-        if map_T_cam_apr is None:
+        if map_T_cam_predicted is None:
             if self._map_T_cam is None:
                 return raw(None)
             reasons = ("no_prediction",)
         elif self._map_T_cam is None:
-            self._begin(map_T_cam_apr)
+            self._begin(map_T_cam_predicted)
             reasons = ("first_prediction",)
         else:
-            signals["innovation2"] = self._correct(map_T_cam_apr)
+            signals["innovation2"] = self._correct(map_T_cam_predicted)
             if self._refused:
                 reasons = ("outlier",)
                 if self._refused >= self.options.restart_after:
-                    self._begin(map_T_cam_apr)
+                    self._begin(map_T_cam_predicted)
                     reasons = ("restart",)
         assert self._map_T_cam is not None
         map_T_vio = self._map_T_cam @ inverse(vio_T_cam)
         return Estimate(self._map_T_cam.copy(), Status.FUSED, self._P.copy(), map_T_vio, (), reasons, signals)
 
-    def _begin(self, map_T_cam_apr: Array) -> None:
-        self._map_T_cam, self._P, self._refused = map_T_cam_apr.copy(), self._noise.copy(), 0
+    def _begin(self, map_T_cam_predicted: Array) -> None:
+        self._map_T_cam, self._P, self._refused = map_T_cam_predicted.copy(), self._noise.copy(), 0
 
     def _predict(self, seconds: float, step: Array) -> None:
         assert self._map_T_cam is not None
@@ -81,11 +81,11 @@ class ErrorState(OdometryLocaliser):
         self._P[np.arange(6), np.arange(6)] += added
         self._map_T_cam = self._map_T_cam @ step
 
-    def _correct(self, map_T_cam_apr: Array) -> float:
+    def _correct(self, map_T_cam_predicted: Array) -> float:
         """Take in a prediction, or refuse it; returns the squared innovation in standard deviations."""
         assert self._map_T_cam is not None
-        turn = Rotation.from_matrix(map_T_cam_apr[:3, :3] @ self._map_T_cam[:3, :3].T).as_rotvec()
-        innovation = np.concatenate([turn, map_T_cam_apr[:3, 3] - self._map_T_cam[:3, 3]])
+        turn = Rotation.from_matrix(map_T_cam_predicted[:3, :3] @ self._map_T_cam[:3, :3].T).as_rotvec()
+        innovation = np.concatenate([turn, map_T_cam_predicted[:3, 3] - self._map_T_cam[:3, 3]])
         S = self._P + self._noise
         weighted = np.linalg.solve(S, np.column_stack([innovation, self._P]))
         squared = float(innovation @ weighted[:, 0])
@@ -99,10 +99,3 @@ class ErrorState(OdometryLocaliser):
         self._map_T_cam[:3, :3] = Rotation.from_rotvec(error[:3]).as_matrix() @ self._map_T_cam[:3, :3]
         self._map_T_cam[:3, 3] += error[3:]
         return squared
-
-    def _state(self) -> State:
-        return super()._state() | {"map_T_cam": plain(self._map_T_cam), "P": plain(self._P), "refused": self._refused}
-
-    def _set_state(self, state: State) -> None:
-        super()._set_state(state)
-        self._map_T_cam, self._P, self._refused = array(state["map_T_cam"]), np.array(state["P"]), state["refused"]

@@ -4,12 +4,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from math import isfinite
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.fusion.methods.state import plain, restore_into
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, rigidity_error
 from groundwalk.store import Settings
@@ -65,15 +65,11 @@ class MethodOptions(Settings):
         return {}
 
 
-State = dict[str, Any]
-"""A localiser's state as plain data: dicts, lists, numbers, strings and None, fit for JSON."""
-
-
 class Stepping(Protocol):
     """All that evaluation asks of a causal method; a session has a fresh one."""
 
     def step(
-        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_apr: Array | None, gravity: Array | None = None
+        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None, gravity: Array | None = None
     ) -> Estimate: ...
 
 
@@ -84,38 +80,42 @@ class Localiser(ABC):
     (odometry runs at 60 Hz, a regressor at 1 Hz) pass None.
     """
 
+    _not_saved: ClassVar[tuple[str, ...]] = ("options",)
+    """Attributes that are no state: they follow from the options, or serve one step only."""
+
     def __init__(self) -> None:
         self._t_ns: int | None = None
-        self._apr_covariance: Array | None = None  # what the frame's prediction brings, for methods that use it
+        self._predicted_covariance: Array | None = None  # what the frame's prediction brings, for methods that use it
 
     def step(
         self,
         t_ns: int,
         vio_T_cam: Array | None,
-        map_T_cam_apr: Array | None,
+        map_T_cam_predicted: Array | None,
         gravity: Array | None = None,
-        apr_covariance: Array | None = None,
+        predicted_covariance: Array | None = None,
     ) -> Estimate:
         """The estimate for the frame at `t_ns`.
 
         vio_T_cam: odometry pose (4, 4) in the session's frame, or None where tracking is lost.
-        map_T_cam_apr: predicted pose (4, 4), or None where there is none. One that isn't finite or isn't rigid is
+        map_T_cam_predicted: predicted pose (4, 4), or None where there is none. One that isn't finite or isn't rigid is
             taken as None, and the estimate's reasons hold `prediction_invalid`.
         gravity: unit vector (3,) pointing down, camera axes, or None.
-        apr_covariance: (6, 6) of the prediction's error in the map frame, rotation (rad) then translation (m), or None.
-            One that isn't positive definite is taken as None, and the estimate's reasons hold `covariance_invalid`.
+        predicted_covariance: (6, 6) of the prediction's error in the map frame, rotation (rad) then translation (m), or
+            None. One that isn't positive definite is taken as None, and the estimate's reasons hold
+            `covariance_invalid`.
 
         Raises GeometryError where time doesn't rise or the odometry pose isn't a finite rigid transform.
         """
         if self._t_ns is not None and t_ns <= self._t_ns:
             raise GeometryError(f"frame at {t_ns} ns comes after one at {self._t_ns} ns: time must rise")
-        if vio_T_cam is not None and not _is_rigid(vio_T_cam):
+        if vio_T_cam is not None and not is_rigid(vio_T_cam):
             raise GeometryError(f"odometry pose at {t_ns} ns isn't a finite rigid transform")
-        invalid = map_T_cam_apr is not None and not _is_rigid(map_T_cam_apr)
-        unsound = apr_covariance is not None and not is_covariance(apr_covariance)
-        self._apr_covariance = None if unsound else apr_covariance
-        estimate = self._advance(t_ns, vio_T_cam, None if invalid else map_T_cam_apr, gravity)
-        self._t_ns, self._apr_covariance = t_ns, None
+        invalid = map_T_cam_predicted is not None and not is_rigid(map_T_cam_predicted)
+        unsound = predicted_covariance is not None and not is_covariance(predicted_covariance)
+        self._predicted_covariance = None if unsound else predicted_covariance
+        estimate = self._advance(t_ns, vio_T_cam, None if invalid else map_T_cam_predicted, gravity)
+        self._t_ns, self._predicted_covariance = t_ns, None
         if unsound:
             estimate = estimate.because("covariance_invalid")
         return estimate.because("prediction_invalid") if invalid else estimate
@@ -125,29 +125,23 @@ class Localiser(ABC):
         self._t_ns = None
         self._forget()
 
-    def save(self) -> State:
-        """The whole state as plain data; `restore` on a localiser with the same options goes on from it."""
-        return {"t_ns": self._t_ns, **self._state()}
+    def save(self) -> dict[str, Any]:
+        """The whole state as JSON has it; `restore` on a localiser with the same options goes on from it."""
+        return plain({name: value for name, value in vars(self).items() if name not in self._not_saved})
 
-    def restore(self, state: State) -> None:
-        """Take over a state that `save` returned."""
-        self._t_ns = state["t_ns"]
-        self._set_state(state)
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take over a state that `save` returned. UserError where it is of another method or version."""
+        self.reset()
+        restore_into(self, state, self._not_saved)
 
     @abstractmethod
     def _advance(
-        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_apr: Array | None, gravity: Array | None
+        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None, gravity: Array | None
     ) -> Estimate:
         """`step` on inputs that are checked."""
 
     def _forget(self) -> None:
-        """Drop what was learnt about the odometry's frame. Methods with a state override this and the next two."""
-        return None
-
-    def _state(self) -> State:
-        return {}
-
-    def _set_state(self, state: State) -> None:
+        """Drop what was learnt about the odometry's frame. Methods with a state override this."""
         return None
 
 
@@ -162,33 +156,3 @@ def is_covariance(matrix: Array) -> bool:
 def is_rigid(pose: Array) -> NDArray[np.bool_]:
     """Whether poses (..., 4, 4) are finite rigid transforms, as near as single precision stores them."""
     return np.asarray(rigidity_error(pose) < _RIGID)
-
-
-def _is_rigid(pose: Array) -> bool:
-    """`is_rigid` of one pose (4, 4). A step has two of them to check, and numpy takes ten times as long."""
-    (a, b, c, x), (d, e, f, y), (g, h, i, z), last = pose.tolist()
-    gram = (
-        a * a + d * d + g * g - 1,
-        b * b + e * e + h * h - 1,
-        c * c + f * f + i * i - 1,
-        a * b + d * e + g * h,
-        a * c + d * f + g * i,
-        b * c + e * f + h * i,
-        last[0],
-        last[1],
-        last[2],
-        last[3] - 1,
-    )
-    # Comparisons with NaN are false.
-    right_handed = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0
-    return right_handed and isfinite(x + y + z) and all(-_RIGID < error < _RIGID for error in gram)
-
-
-def plain(array: Array | None) -> list[Any] | None:
-    """An array as nested lists, for a `State`."""
-    return None if array is None else np.asarray(array).tolist()
-
-
-def array(plain_value: list[Any] | None) -> Array | None:
-    """The array that `plain` was given."""
-    return None if plain_value is None else np.asarray(plain_value, dtype=float)

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, Stepping
-from groundwalk.fusion.walk import Walk, known
+from groundwalk.fusion.walk import Walk
+from groundwalk.geometry.poses import Array
 
 
 class Offline(ABC):
@@ -24,18 +25,14 @@ def stepped(localiser: Stepping, walk: Walk) -> list[Estimate]:
 
 def steps(localiser: Stepping, walk: Walk) -> Iterator[Estimate]:
     """The same, frame by frame. A `Localiser` also gets the covariances that predictions bring."""
-    has_vio, has_apr = known(walk.vio_T_cam), known(walk.map_T_cam_apr)
-    has_gravity = np.asarray(np.isfinite(walk.gravity).all(axis=1))
-    covariances = walk.apr_covariance
-    has_covariance = np.zeros(len(walk), dtype=bool) if covariances is None else known(covariances)
-    for i in range(len(walk)):
-        frame = (
-            int(walk.t_ns[i]),
-            walk.vio_T_cam[i] if has_vio[i] else None,
-            walk.map_T_cam_apr[i] if has_apr[i] else None,
-            walk.gravity[i] if has_gravity[i] else None,
-        )
-        if isinstance(localiser, Localiser) and covariances is not None and has_covariance[i]:
-            yield localiser.step(*frame, covariances[i])
-        else:
-            yield localiser.step(*frame)
+    for frame in frames(walk):
+        yield localiser.step(*frame) if isinstance(localiser, Localiser) else localiser.step(*frame[:4])
+
+
+def frames(walk: Walk) -> list[tuple[int, Array | None, Array | None, Array | None, Array | None]]:
+    """What `Localiser.step` takes of each frame, None for what is missing."""
+    vio_T_cam, predicted, gravity, covariance = (
+        [None] * len(walk) if values is None else [value if np.isfinite(value).all() else None for value in values]
+        for values in (walk.vio_T_cam, walk.map_T_cam_predicted, walk.gravity, walk.predicted_covariance)
+    )
+    return list(zip(map(int, walk.t_ns), vio_T_cam, predicted, gravity, covariance, strict=True))

@@ -10,7 +10,7 @@ from math import radians
 import numpy as np
 from pydantic import Field
 
-from groundwalk.fusion.methods.localiser import Estimate, State, Status, array, plain
+from groundwalk.fusion.methods.localiser import Estimate, Status
 from groundwalk.fusion.methods.odometry import OdometryLocaliser, OdometryOptions, raw
 from groundwalk.geometry.pose_graph import smooth_chain
 from groundwalk.geometry.poses import Array, inverse, relative
@@ -41,45 +41,36 @@ class PoseGraph(OdometryLocaliser):
         self._window: deque[tuple[Array, Array, Array]] = deque(maxlen=self.options.frames)
         self._covariance: Array | None = None  # (6, 6) of the newest
 
-    def _fuse(self, t_ns: int, vio_T_cam: Array, map_T_cam_apr: Array | None) -> Estimate:
-        if map_T_cam_apr is not None:
-            self._solve(vio_T_cam, map_T_cam_apr)
+    def _fuse(self, t_ns: int, vio_T_cam: Array, map_T_cam_predicted: Array | None) -> Estimate:
+        if map_T_cam_predicted is not None:
+            self._solve(vio_T_cam, map_T_cam_predicted)
         elif not self._window:
             return raw(None)
         _, newest_vio, newest = self._window[-1]
         map_T_vio = newest @ inverse(newest_vio)
         pose = map_T_vio @ vio_T_cam
-        reasons = ("no_prediction",) if map_T_cam_apr is None else ()
+        reasons = ("no_prediction",) if map_T_cam_predicted is None else ()
         covariance = None
-        if map_T_cam_apr is not None and self._covariance is not None:
+        if map_T_cam_predicted is not None and self._covariance is not None:
             turn = np.eye(6)
             turn[:3, :3] = pose[:3, :3]
             covariance = turn @ self._covariance @ turn.T
         return Estimate(pose, Status.FUSED, covariance, map_T_vio, reasons=reasons)
 
-    def _solve(self, vio_T_cam: Array, map_T_cam_apr: Array) -> None:
+    def _solve(self, vio_T_cam: Array, map_T_cam_predicted: Array) -> None:
         o = self.options
-        start = map_T_cam_apr
+        start = map_T_cam_predicted
         if self._window:
             _, last_vio, last = self._window[-1]
             start = last @ relative(last_vio, vio_T_cam)
-        self._window.append((map_T_cam_apr, vio_T_cam, start))
-        apr, vio, guess = (np.array(poses) for poses in zip(*self._window, strict=True))
+        self._window.append((map_T_cam_predicted, vio_T_cam, start))
+        predicted, vio, guess = (np.array(poses) for poses in zip(*self._window, strict=True))
         solved, self._covariance = smooth_chain(
-            apr,
+            predicted,
             relative(vio[:-1], vio[1:]),
             guess,
             measured_sd=(o.position_sd_m, radians(o.rotation_sd_deg)),
             step_sd=(o.step_sd_m, radians(o.step_sd_deg)),
             huber=float("inf") if o.huber is None else o.huber,
         )
-        self._window.extend(zip(apr, vio, solved, strict=True))
-
-    def _state(self) -> State:
-        window = [[plain(pose) for pose in frame] for frame in self._window]
-        return super()._state() | {"window": window, "covariance": plain(self._covariance)}
-
-    def _set_state(self, state: State) -> None:
-        super()._set_state(state)
-        self._window.extend((np.array(a), np.array(b), np.array(c)) for a, b, c in state["window"])
-        self._covariance = array(state["covariance"])
+        self._window.extend(zip(predicted, vio, solved, strict=True))

@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 from pydantic import Field
 
-from groundwalk.fusion.methods.localiser import Estimate, State, Status, array, plain
+from groundwalk.fusion.methods.localiser import Estimate, Status
 from groundwalk.fusion.methods.odometry import OdometryLocaliser, OdometryOptions, raw
 from groundwalk.geometry.fits import fit_poses, fit_robust, pose_residuals
 from groundwalk.geometry.poses import Array
@@ -33,13 +33,13 @@ class Window(OdometryLocaliser):
         self._pairs: deque[tuple[Array, Array]] = deque(maxlen=self.options.pairs)  # map_T_cam, vio_T_cam
         self._map_T_vio: Array | None = None
 
-    def _fuse(self, t_ns: int, vio_T_cam: Array, map_T_cam_apr: Array | None) -> Estimate:
-        if map_T_cam_apr is not None:
-            self._pairs.append((map_T_cam_apr, vio_T_cam))
+    def _fuse(self, t_ns: int, vio_T_cam: Array, map_T_cam_predicted: Array | None) -> Estimate:
+        if map_T_cam_predicted is not None:
+            self._pairs.append((map_T_cam_predicted, vio_T_cam))
             self._map_T_vio = self._aligned()
         if self._map_T_vio is None:
-            return raw(map_T_cam_apr)
-        reasons = ("no_prediction",) if map_T_cam_apr is None else ()
+            return raw(map_T_cam_predicted)
+        reasons = ("no_prediction",) if map_T_cam_predicted is None else ()
         return Estimate(self._map_T_vio @ vio_T_cam, Status.OPTIMISED, map_T_vio=self._map_T_vio, reasons=reasons)
 
     def _aligned(self) -> Array:
@@ -62,12 +62,3 @@ class Window(OdometryLocaliser):
             return np.hypot(metres / o.position_sd_m, angle / rotation_sd)
 
         return fit_robust(fit, residuals, len(map_T_cam), floor=1.0, tolerance=_TOLERANCE)[0]
-
-    def _state(self) -> State:
-        pairs = [[plain(apr), plain(vio)] for apr, vio in self._pairs]
-        return super()._state() | {"pairs": pairs, "map_T_vio": plain(self._map_T_vio)}
-
-    def _set_state(self, state: State) -> None:
-        super()._set_state(state)
-        self._pairs.extend((np.array(apr), np.array(vio)) for apr, vio in state["pairs"])
-        self._map_T_vio = array(state["map_T_vio"])

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from groundwalk.geometry import Array
 from groundwalk.runtime.bundle_file import (
-    ERROR_MAP,
     ERRORS,
     FRAME,
     GOLDEN,
@@ -65,7 +64,7 @@ class Bundle:
     """A network with its preprocessing; `open_bundle` makes it.
 
     `manifest` is what the bundle says of itself, `frame` of the map frame, `network` the network's name. `errors` are
-    those of the scene's test frames, and `error_map` what fusion learnt of them by place; {} where the run had none.
+    those of the scene's test frames, {} where the run had none.
     """
 
     def __init__(self, folder: Path, network: str | None, threads: int | None) -> None:
@@ -92,10 +91,6 @@ class Bundle:
     @cached_property
     def errors(self) -> dict[str, Any]:
         return self._optional(ERRORS)
-
-    @cached_property
-    def error_map(self) -> dict[str, Any]:
-        return self._optional(ERROR_MAP)
 
     def predict(
         self,

@@ -15,7 +15,6 @@ MANIFEST = "bundle.json"
 PREPROCESSING = "preprocessing.json"
 FRAME = "frame.json"
 ERRORS = "errors.json"
-ERROR_MAP = "error_map.json"
 GOLDEN = "golden/golden.json"
 _AGAIN = "copy the bundle again, or export it again"
 

@@ -57,8 +57,8 @@ BUILTIN: dict[str, dict[str, str]] = {
         "MST-Lite": "groundwalk.training.entries:MST_LITE",
     },
     "groundwalk.fusion_methods": {
-        "apr": "groundwalk.fusion.methods.entries:APR",
-        "mobilearloc": "groundwalk.fusion.methods.entries:MOBILEARLOC",
+        "raw": "groundwalk.fusion.methods.entries:RAW",
+        "paper_rule": "groundwalk.fusion.methods.entries:PAPER_RULE",
         "last_good": "groundwalk.fusion.methods.entries:LAST_GOOD",
         "window30": "groundwalk.fusion.methods.entries:WINDOW30",
         "pose_graph": "groundwalk.fusion.methods.entries:POSE_GRAPH",

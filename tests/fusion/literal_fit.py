@@ -11,11 +11,11 @@ _DOF, _SIZE_COUNT, _AXIS_COUNT, _SIDE_TURN, _SIDE_TURN_COUNT = 3.0, 0.3, 10.0, 0
 _SHARED, _SHARED_SIZES, _SHARED_TURN = 0.9, 10.0, np.radians(45.0)
 
 
-def literal_fit(vio: Array, apr: Array, drift: Array, sizes: Array, turns: int = 40) -> Array:
+def literal_fit(vio: Array, apr: Array, drift: Array, sizes: Array, tilt_sd: float, turns: int = 40) -> Array:
     """The last poses' alignment: (N, 4) map position and yaw at each frame.
 
     vio, apr: poses (N, 4, 4). drift: variances (N, 4) of x, y, z, yaw on the way to each frame. sizes (6,): assumed
-    errors of a prediction.
+    errors of a prediction. tilt_sd: of odometry's vertical, an axis.
     """
     count = len(vio)
     shape = np.eye(6)
@@ -24,19 +24,20 @@ def literal_fit(vio: Array, apr: Array, drift: Array, sizes: Array, turns: int =
     start = [_heading(apr[i, :3, :3] @ vio[i, :3, :3].T) for i in range(count)]
     x = np.column_stack([apr[:, :3, 3], np.full(count, start[0])])
     x[:, :3] = apr[0, :3, 3] + (vio[:, :3, 3] - vio[0, :3, 3]) @ _yaw(start[0]).T
-    covariance, posterior = shape.copy(), np.zeros((count, 4, 4))
+    size_count = _SIZE_COUNT / (1 + count)  # sizes that were assumed first are forgotten
+    covariance, posterior, lean = shape.copy(), np.zeros((count, 4, 4)), np.zeros(3)
     for _ in range(turns):
         each = _independent(x, vio, drift, sizes[3] ** 2 * np.trace(covariance[3:, 3:]) / 3)
         slopes = [_slope(x[i], vio[i], sizes) for i in range(count)]
         spread = [e * s @ p @ s.T for e, s, p in zip(each, slopes, posterior, strict=True)]
-        errors = np.array([_error(x[i], vio[i], apr[i]) / sizes for i in range(count)])
+        errors = np.array([_error(x[i], vio[i], apr[i], lean) / sizes for i in range(count)])
         weights = [_weight(e, v, covariance) for e, v in zip(errors, spread, strict=True)]
         parts = zip(weights, errors, spread, strict=True)
         scatter = sum(w * (np.outer(e, e) + v) for w, e, v in parts)
-        scatter = (scatter + _SIZE_COUNT * shape) / (_SIZE_COUNT + count)
+        scatter = (scatter + size_count * shape) / (size_count + count)
         variances = np.diag(scatter)
         means = np.repeat(variances.reshape(2, 3).mean(axis=1), 3)
-        believed = _AXIS_COUNT / (_AXIS_COUNT + _SIZE_COUNT + count)
+        believed = _AXIS_COUNT / (_AXIS_COUNT + size_count + count)
         sd = np.sqrt((1 - believed) * variances + believed * means)
         scatter = scatter * np.outer(sd, sd) / np.sqrt(np.outer(variances, variances))
         believed = _SIDE_TURN_COUNT / (_SIDE_TURN_COUNT + count)
@@ -45,10 +46,13 @@ def literal_fit(vio: Array, apr: Array, drift: Array, sizes: Array, turns: int =
         roots = [_weight(e, v, covariance) ** (_DOF / 4) for e, v in zip(errors, spread, strict=True)]
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
-        def residuals(flat: Array, roots: list[float] = roots, whiten: Array = whiten, each: Array = each) -> Array:
+        def residuals(
+            flat: Array, roots: list[float] = roots, whiten: Array = whiten, each: Array = each, lean: Array = lean
+        ) -> Array:
             y = flat.reshape(-1, 4)
             found = [
-                np.sqrt(each[i]) * roots[i] * (whiten @ (_error(y[i], vio[i], apr[i]) / sizes)) for i in range(count)
+                np.sqrt(each[i]) * roots[i] * (whiten @ (_error(y[i], vio[i], apr[i], lean) / sizes))
+                for i in range(count)
             ]
             for i in range(1, count):
                 step = _yaw(y[i - 1, 3]) @ (vio[i, :3, 3] - vio[i - 1, :3, 3])
@@ -60,17 +64,29 @@ def literal_fit(vio: Array, apr: Array, drift: Array, sizes: Array, turns: int =
         x = best.x.reshape(-1, 4)
         inverse = np.linalg.inv(best.jac.T @ best.jac).reshape(count, 4, count, 4)
         posterior = np.array([inverse[i, :, i] for i in range(count)])
+        # Predictions name odometry's lean, which their mean tells little better than one of them.
+        counts = np.array([e * r**2 for e, r in zip(each, roots, strict=True)])
+        variance = np.trace(covariance[:3, :3]) / 3 * sizes[0] ** 2
+        tilts = np.array([_tilt(x[i], vio[i], apr[i]) for i in range(count)])
+        unsure = variance / counts.sum() + variance
+        lean = tilt_sd**2 / (tilt_sd**2 + unsure) * (counts @ tilts) / counts.sum()
     return x
 
 
-def _error(x: Array, vio: Array, apr: Array) -> Array:
-    """Rotation (rad) before position error of a prediction in camera axes, when the camera is at x, y, z, yaw."""
+def _error(x: Array, vio: Array, apr: Array, lean: Array) -> Array:
+    """Rotation (rad) before position error of a prediction in camera axes, when the camera is at x, y, z, yaw and
+    odometry's vertical leans, about its axes (3,)."""
+    heading = _heading(apr[:3, :3] @ vio[:3, :3].T)
+    off = (heading - x[3] + np.pi) % (2 * np.pi) - np.pi
+    rotation = vio[:3, :3].T @ (_tilt(x, vio, apr) - lean + [0, off, 0])
+    return np.concatenate([rotation, (_yaw(x[3]) @ vio[:3, :3]).T @ (apr[:3, 3] - x[:3])])
+
+
+def _tilt(x: Array, vio: Array, apr: Array) -> Array:
+    """What a prediction leans against odometry's vertical, about odometry's axes (3,)."""
     turn = _yaw(_heading(apr[:3, :3] @ vio[:3, :3].T))
     lean = Rotation.from_matrix(apr[:3, :3] @ vio[:3, :3].T @ turn.T).as_rotvec()
-    off = (_heading(turn) - x[3] + np.pi) % (2 * np.pi) - np.pi
-    camera = (_yaw(x[3]) @ vio[:3, :3]).T
-    rotation = camera @ [lean[0], off, lean[2]]
-    return np.concatenate([rotation, camera @ (apr[:3, 3] - x[:3])])
+    return _yaw(x[3]).T @ [lean[0], 0, lean[2]]
 
 
 def _slope(x: Array, vio: Array, sizes: Array) -> Array:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from scipy.optimize import minimize
 
 if TYPE_CHECKING:
-    from groundwalk.fusion.methods.mobilearloc import MobileARLocOptions
-    from groundwalk.fusion.methods.pair_check import PairOptions
+    from groundwalk.fusion.methods.odometry import PairOptions
+    from groundwalk.fusion.methods.paper_rule import PaperRuleOptions
 
 Vector = tuple[float, ...]
 Pose = tuple[Vector, Vector]
@@ -132,7 +132,7 @@ def average_rotation(quaternions: Sequence[Vector]) -> Vector:
     return tuple(i / sqrt(dot(summed, summed)) for i in summed)
 
 
-def align(run: list[Frame], o: "MobileARLocOptions") -> Pose:
+def align(run: list[Frame], o: "PaperRuleOptions") -> Pose:
     """(x, q) of map_T_vio from a run of frames."""
     if o.reference == "per_frame":
         transforms = []
@@ -168,7 +168,7 @@ def pair_is_consistent(a: Frame, b: Frame, o: "PairOptions") -> bool:
     return rpe <= o.d_th_m and roe <= o.o_th_deg
 
 
-def frame_has_drifted(f: Frame, reference: Pose, o: "MobileARLocOptions") -> bool:
+def frame_has_drifted(f: Frame, reference: Pose, o: "PaperRuleOptions") -> bool:
     x, q = carry(reference, f)
     if o.similarity == "metric":
         return dist(x, f.x_apr) >= o.similarity_m or angle_deg(q, f.q_apr) >= o.similarity_deg
@@ -177,7 +177,7 @@ def frame_has_drifted(f: Frame, reference: Pose, o: "MobileARLocOptions") -> boo
     return (cosine + abs(dot(q, f.q_apr))) / 2 <= o.gamma
 
 
-def split_at_jumps(frames: list[Frame], o: "MobileARLocOptions") -> list[Numbered]:
+def split_at_jumps(frames: list[Frame], o: "PaperRuleOptions") -> list[Numbered]:
     """Pieces of a walk between odometry jumps."""
     pieces: list[Numbered] = [[]]
     last: Frame | None = None
@@ -191,7 +191,7 @@ def split_at_jumps(frames: list[Frame], o: "MobileARLocOptions") -> list[Numbere
     return pieces
 
 
-def label_walk(frames: list[Frame], o: "MobileARLocOptions") -> list[Answer]:
+def label_walk(frames: list[Frame], o: "PaperRuleOptions") -> list[Answer]:
     """The rule's answers to a walk, one a frame."""
     answers = [Answer() for _ in frames]
     for piece in split_at_jumps(frames, o):
@@ -199,7 +199,7 @@ def label_walk(frames: list[Frame], o: "MobileARLocOptions") -> list[Answer]:
     return answers
 
 
-def _label_piece(piece: Numbered, o: "MobileARLocOptions", answers: list[Answer]) -> None:
+def _label_piece(piece: Numbered, o: "PaperRuleOptions", answers: list[Answer]) -> None:
     need = o.n + 1 if o.alignment_frames == "n+1" else o.n + 2
     stage, low = "alignment", 0
     run: Numbered = []

@@ -38,7 +38,7 @@ def test_walks_are_upright_and_in_this_projects_conventions(tmp_path: Path) -> N
     own = truth[::2]
     assert np.allclose(relative(walk.map_T_cam[0], walk.map_T_cam[3]), relative(own[0], own[3]), atol=1e-9)
     assert np.allclose(walk.map_T_cam[:, 1, :3], own[:, 1, :3], atol=1e-9)
-    assert np.allclose(position_error(walk.map_T_cam_apr, walk.map_T_cam), 0.5)
+    assert np.allclose(position_error(walk.map_T_cam_predicted, walk.map_T_cam), 0.5)
     assert not np.array_equal(walk.vio_T_cam, case.walks[2].vio_T_cam)
     turned = heading(walk.map_T_cam[:, :3, :3] @ walk.vio_T_cam[:, :3, :3].transpose(0, 2, 1))
     assert np.ptp(turned) < np.radians(10)

@@ -4,8 +4,10 @@ from pathlib import Path
 
 from rerun.chunk import RrdReader
 
-from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
+from groundwalk.fusion.evaluation.evaluate import evaluate
+from groundwalk.fusion.files.walks import Inputs
 from groundwalk.fusion.recording import blueprint, record
+from groundwalk.fusion.settings import FuseSettings
 from groundwalk.store.recording import open_recording
 from tests.fusion.tables import tables
 
@@ -23,23 +25,23 @@ def test_every_source_has_its_own_path_and_moves_with_the_walk(tmp_path: Path) -
     frames, truth, predictions = tables([1, 2])
     for table in (frames, truth, predictions):
         table["session_id"] = table["session_id"].map({"s1": "first walk/a", "s2": "s2"})
-    methods = ["apr", "mobilearloc", "drift_aware", "vio_oracle"]
+    methods = ["raw", "paper_rule", "drift_aware", "vio_oracle"]
     inputs = Inputs("Place", frames, truth, predictions.assign(model="PN: ü 2/3"))
     results = evaluate([inputs], FuseSettings(methods=methods))
     with open_recording(tmp_path / "r.rrd", "fuse", "Place", blueprint(results.fused, results.gates)) as stream:
         record(stream, results.fused, results.gates)
     rows, at = rows_of(tmp_path / "r.rrd"), "/Place/PN\\:\\ ü\\ 2\\/3"
-    fused = [m for m in methods if m != "apr"]
+    fused = [m for m in methods if m != "raw"]
     moving = [
         "/Place/ground_truth/now",
-        f"{at}/apr/now",
+        f"{at}/raw/now",
         *(f"{at}/{k}/{m}/now" for k in ("fused", "vio_aligned") for m in fused),
     ]
     series = [f"{at}/{q}/{m}" for q in ("position_error_m", "rotation_error_deg") for m in methods]
     decisions = [*(f"{at}/{k}/{m}" for k in ("status", "residual") for m in fused), f"{at}/covariance/drift_aware"]
-    gated = [f"{at}/signals/mobilearloc/{s}/{k}" for s in ("similarity", "rpe_m", "roe_deg") for k in ("value", "gate")]
+    gated = [f"{at}/signals/paper_rule/{s}/{k}" for s in ("similarity", "rpe_m", "roe_deg") for k in ("value", "gate")]
     for path in (*moving, *series, *decisions, *gated):
         assert rows[path] == 80, path
-    for kind in ("ground_truth", "PN\\:\\ ü\\ 2\\/3/apr", "PN\\:\\ ü\\ 2\\/3/fused/drift_aware"):
+    for kind in ("ground_truth", "PN\\:\\ ü\\ 2\\/3/raw", "PN\\:\\ ü\\ 2\\/3/fused/drift_aware"):
         for session in ("first\\ walk\\/a", "s2"):
             assert f"/Place/{kind}/path/{session}/test" in rows

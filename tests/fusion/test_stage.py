@@ -83,7 +83,7 @@ def test_a_group_uses_its_own_models_and_its_members_others(group: Path) -> None
     STAGE.run(r)
     errors = read_table(r.work / "errors.parquet", schema("fuse", "errors"))
     assert set(errors["scene"]) == {"A", "B"} and not errors.duplicated(["method", "model", "frame_id"]).any()
-    worst = errors.groupby("model")["apr_position_m"].median()
+    worst = errors.groupby("model")["raw_position_m"].median()
     assert worst["PN"] < 10 and worst["MS-T"] > 100
 
 
@@ -92,15 +92,15 @@ def test_structure_localisers_are_fused_and_their_refusals_fail(tmp_path: Path) 
     r = stage_run(tmp_path, "A", inputs)
     STAGE.run(r)
     errors = read_table(r.work / "errors.parquet", schema("fuse", "errors"))
-    mine = errors[(errors["model"] == "Map") & (errors["method"] == "apr")]
-    assert len(mine) == 80 and mine["apr_position_m"].isna().sum() == 20
-    assert mine["apr_position_m"].max() < 1e-9
+    mine = errors[(errors["model"] == "Map") & (errors["method"] == "raw")]
+    assert len(mine) == 80 and mine["raw_position_m"].isna().sum() == 20
+    assert mine["raw_position_m"].max() < 1e-9
     assert r.figures["predictions_refused"] == 20
     assert r.figures["predictions_not_finite"] == inputs["train", "A"]["map_cam_tx"].isna().sum()
     summary = read_table(r.work / "summary.parquet", schema("fuse", "summary"))
-    alone = summary.query("model == 'Map' and method == 'apr' and subset == 'all' and scored == 'method'").iloc[0]
+    alone = summary.query("model == 'Map' and method == 'raw' and subset == 'all' and scored == 'method'").iloc[0]
     assert (alone["answered"], alone["frames"], alone["high_pct"]) == (60, 80, 75)
-    assert "Map" in set(errors.loc[errors["method"] == "mobilearloc", "model"])
+    assert "Map" in set(errors.loc[errors["method"] == "paper_rule", "model"])
 
 
 def test_a_regressor_and_a_localiser_of_one_name_are_refused(tmp_path: Path) -> None:

@@ -122,9 +122,9 @@ class MadeUpRun:
         return {"predictions": filled("train", "predictions", FRAMES, **self._keys, **predicted, model="PN")}
 
     def _fuse(self) -> dict[str, pd.DataFrame]:
-        poses = filled("fuse", "poses", FRAMES, **self._keys, method="apr", model="PN")
-        errors = filled("fuse", "errors", FRAMES, **self._keys, method="apr", model="PN", position_m=0.5)
+        poses = filled("fuse", "poses", FRAMES, **self._keys, method="raw", model="PN")
+        errors = filled("fuse", "errors", FRAMES, **self._keys, method="raw", model="PN", position_m=0.5)
         answers = {"position_median_m": [0.5, np.nan], "rotation_median_deg": [2.0, np.nan], "answered": [6, 2]}
-        summary = filled("fuse", "summary", 2, method=["apr", "rule"], model="PN", subset="all", frames=6, **answers)
+        summary = filled("fuse", "summary", 2, method=["raw", "rule"], model="PN", subset="all", frames=6, **answers)
         errors = errors[errors["split"] == "test"]
         return {"poses": poses, "errors": errors, "summary": summary.assign(scored="method")}

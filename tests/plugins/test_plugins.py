@@ -116,7 +116,7 @@ batch = 4
 cells = 3
 
 [fuse]
-methods = ["apr", "keep_first"]
+methods = ["raw", "keep_first"]
 
 [fuse.options.keep_first]
 predictions = 2
@@ -166,7 +166,7 @@ def test_a_package_runs_from_import_to_report(packages: list[Path], data: Path, 
     assert table(data, "train", "history")["sx"].isna().all()
 
     methods = table(data, "fuse", "methods").set_index("method")
-    assert methods["label"].to_dict() == {"apr": "regressor alone", "keep_first": "first"}
+    assert methods["label"].to_dict() == {"raw": "predictor alone", "keep_first": "first"}
     assert json.loads(methods["options"]["keep_first"]) == {"predictions": 2}
     poses = table(data, "fuse", "poses").query("method == 'keep_first' and model == 'mean_colour'").sort_values("t_ns")
     alignment = poses[[c for c in poses.columns if c.startswith("map_vio_")]].to_numpy()
@@ -175,7 +175,7 @@ def test_a_package_runs_from_import_to_report(packages: list[Path], data: Path, 
     page = (data / "runs/tiny/Room/report/page.html").read_text()
     assert "mean colour+first" in page and re.search(r"mean colour(\+first)?, median", page)
     cells = table(data, "report", "cells")
-    assert set(cells.loc[cells["table"] == "IV", "method"]) == {"apr", "keep_first"}
+    assert set(cells.loc[cells["table"] == "IV", "method"]) == {"raw", "keep_first"}
     manifest = json.loads((data / "runs/tiny/Room/train/manifest.json").read_text())
     assert manifest["plugins"] == {"mean_colour": "groundwalk-example 1.0"}
 
@@ -191,8 +191,8 @@ def test_a_package_runs_from_import_to_report(packages: list[Path], data: Path, 
 @pytest.mark.slow
 def test_a_broken_package_is_named_and_the_rest_goes_on(packages: list[Path], data: Path) -> None:
     train = 'models = ["mean_colour", "wrong_shape", "no_capability", "fails_in_training"]'
-    methods = 'methods = ["apr", "keep_first", "wrong_covariance"]'
-    text = EXAMPLE.replace('models = ["mean_colour"]', train).replace('methods = ["apr", "keep_first"]', methods)
+    methods = 'methods = ["raw", "keep_first", "wrong_covariance"]'
+    text = EXAMPLE.replace('models = ["mean_colour"]', train).replace('methods = ["raw", "keep_first"]', methods)
     text += "\n[train.regressors.fails_in_training]\nbatch = 4\n"
     configure(data, text)
     said = {stage: " ".join(run(packages, data, stage).split()) for stage in ("training", "fusion")}
@@ -210,7 +210,7 @@ def test_a_broken_package_is_named_and_the_rest_goes_on(packages: list[Path], da
     named("fusion", "groundwalk.fusion_methods: wrong_covariance", "covariance for frame 0 has shape (3, 3)")
 
     assert set(table(data, "train", "models")["model"]) == {"mean_colour"}
-    assert set(table(data, "fuse", "methods")["method"]) == {"apr", "keep_first"}
+    assert set(table(data, "fuse", "methods")["method"]) == {"raw", "keep_first"}
     figures = json.loads((data / "runs/tiny/Room/train/manifest.json").read_text())["figures"]
     assert len([name for name in figures if name.startswith("left out: ")]) == 3
 
@@ -228,7 +228,7 @@ def test_predictions_from_elsewhere_take_part_to_the_end(data: Path) -> None:
     assert set(table(data, "train", "predictions")["model"]) == {"mine"}
     errors = table(data, "fuse", "errors")
     assert len(set(errors["method"])) == 9
-    of_mine = errors.loc[errors["model"] == "mine", "apr_position_m"]
+    of_mine = errors.loc[errors["model"] == "mine", "raw_position_m"]
     assert of_mine.to_numpy() == pytest.approx(np.full(len(of_mine), 0.5)) and len(of_mine)
     page = (data / "runs/tiny/Room/report/page.html").read_text()
     assert re.search(r"mine(\+[\w -]+)?, median", page) and "predictions imported from mine.parquet" in page

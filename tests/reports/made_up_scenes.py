@@ -24,8 +24,8 @@ from tests.known import cells
 SECOND = 1_000_000_000
 MODELS = ("PN", "MS-T")
 METHODS = (
-    ("apr", "{}", "regressor alone", False, True, "the raw regressor"),
-    ("mobilearloc", '{"gamma": 0.99}', "VIO", True, True, "the paper's rule"),
+    ("raw", "{}", "predictor alone", False, True, "the raw regressor"),
+    ("paper_rule", '{"gamma": 0.99}', "VIO", True, True, "the paper's rule"),
     ("smoother", "{}", "smoother", True, False, "from the whole walk"),
 )
 
@@ -83,11 +83,11 @@ class MadeUpScene:
         imported["sessions"].loc[alone, ["pose_source", "reference_unit"]] = "reference", "m"
         for name in ("poses", "errors", "sessions"):
             table = fuse[name]
-            fuse[name] = table[(table["method"] == "apr") | ~table["session_id"].isin(self.without_vio)]
+            fuse[name] = table[(table["method"] == "raw") | ~table["session_id"].isin(self.without_vio)]
         ran = set(fuse["errors"].loc[fuse["errors"]["split"] == "test", "method"])
-        if ran == {"apr"}:
+        if ran == {"raw"}:
             for name in ("poses", "errors", "sessions", "methods", "intervals"):
-                fuse[name] = fuse[name][fuse[name]["method"] == "apr"]
+                fuse[name] = fuse[name][fuse[name]["method"] == "raw"]
             del fuse["sweep"]
         residuals = tables["align"]["residuals"]
         tables["align"]["residuals"] = residuals[~residuals["session_id"].isin(self.without_vio)]
@@ -200,10 +200,10 @@ class MadeUpScene:
         }
 
     def _fused_sessions(self) -> pd.DataFrame:
-        """As good as odometry can be, but that `apr` never answers in walk_4."""
+        """As good as odometry can be, but that `raw` never answers in walk_4."""
         rows = []
         for model, (method, options, *_), session in product(self.models, METHODS, ("walk_3", "walk_4")):
-            never = method == "apr" and session == "walk_4"
+            never = method == "raw" and session == "walk_4"
             row: dict[str, object] = {"method": method, "options": options, "model": model, "scene": self.name}
             row |= {
                 "session_id": session,
@@ -213,7 +213,7 @@ class MadeUpScene:
                 "first_fix_s": None if never else 3.0,
             }
             row |= {"longest_outage_s": None if never else 4.25, "jitter_m": 0.125, "jitter_deg": 0.75}
-            rows.append(row | {"recovery_s": np.inf if method == "mobilearloc" else None})
+            rows.append(row | {"recovery_s": np.inf if method == "paper_rule" else None})
         return pd.DataFrame(rows)
 
     def _sweep(self) -> pd.DataFrame:
@@ -235,10 +235,10 @@ class MadeUpScene:
     def _intervals(self) -> pd.DataFrame:
         rows = []
         for model in self.models:
-            for method, value in (("apr", 2.0), ("mobilearloc", 1.5), ("smoother", 1.0)):
+            for method, value in (("raw", 2.0), ("paper_rule", 1.5), ("smoother", 1.0)):
                 key: dict[str, object] = {"method": method, "options": "{}"}
                 key |= {"model": model, "scene": self.name, "subset": "all"}
-                key |= {"value": value, "low": 0.8 * value, "high": None if method == "apr" else 1.3 * value}
+                key |= {"value": value, "low": 0.8 * value, "high": None if method == "raw" else 1.3 * value}
                 figures = ("position_median_m", "rotation_mean_deg")
                 rows += [key | {"figure": figure, "sessions": 2, "draws": 3} for figure in figures]
         return pd.DataFrame(rows)
@@ -246,7 +246,7 @@ class MadeUpScene:
     def _fused(self, model: str, method: str, options: str, raw: Array) -> tuple[pd.DataFrame, pd.DataFrame]:
         count = len(self.frames)
         keys = self.frames.assign(model=model, method=method, options=options, scene=self.name)
-        if method == "apr":
+        if method == "raw":
             status = live = np.full(count, "predicted", object)
             fused = live_poses = raw
         elif method == "smoother":
@@ -265,7 +265,7 @@ class MadeUpScene:
         poses = pd.concat([poses, pose_frame("map_vio", np.full((count, 4, 4), np.nan))], axis=1)
         poses = poses.assign(status=status, live_status=live, covariance=None, reasons="")
         errors = keys.assign(status=status, live_status=live, quality=self.quality)
-        for prefix, estimate in (("", fused), ("live_", live_poses), ("apr_", raw)):
+        for prefix, estimate in (("", fused), ("live_", live_poses), ("raw_", raw)):
             known = np.isfinite(estimate).all(axis=(1, 2))
             for name, error in (("position_m", position_error), ("rotation_deg", rotation_error_deg)):
                 values = np.full(count, np.nan)

@@ -80,7 +80,7 @@ def test_a_frame_can_be_asked_what_it_is(browser: Any, run: Path) -> None:
     truth = read_table(run / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
     truth = truth.sort_values(["session_id", "t_ns"]).set_index("frame_id")
     errors = read_table(run / "fuse" / "errors.parquet", schema("fuse", "errors"))
-    alone = errors[errors["model"] == "PN"].drop_duplicates("frame_id").set_index("frame_id")["apr_position_m"]
+    alone = errors[errors["model"] == "PN"].drop_duplicates("frame_id").set_index("frame_id")["raw_position_m"]
     context = browser.new_context(viewport={"width": 1280, "height": 900})
     page = opened(context, run)
 

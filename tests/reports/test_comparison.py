@@ -32,8 +32,8 @@ def empty(stage: str, table: str) -> pd.DataFrame:
 def run_with(position: np.ndarray, model: str = "PN") -> ComparedRun:
     """A run of one walk, alone."""
     keys = {"scene": "S", "session_id": "w", "t_ns": np.arange(FRAMES), "frame_id": [f"w/{i}" for i in range(FRAMES)]}
-    errors = pd.DataFrame(keys).assign(model=model, method="apr", options="", split="test", quality="A")
-    errors = errors.assign(apr_position_m=position, apr_rotation_deg=np.where(np.isnan(position), np.nan, 1.0))
+    errors = pd.DataFrame(keys).assign(model=model, method="raw", options="", split="test", quality="A")
+    errors = errors.assign(raw_position_m=position, raw_rotation_deg=np.where(np.isnan(position), np.nan, 1.0))
     return ComparedRun("r", {}, "m", empty("align", "ground_truth"), errors, empty("fuse", "validation"))
 
 
@@ -76,7 +76,7 @@ def test_the_command_writes_a_page_and_fails_where_it_is_asked_to(
     shutil.copytree(data.run("tiny", "Yard"), other)
     of = schema("fuse", "errors")
     errors = read_table(other / "fuse" / "errors.parquet", of)
-    errors.loc[errors["model"] == "PN", ["apr_position_m", "live_position_m"]] *= 1.5
+    errors.loc[errors["model"] == "PN", ["raw_position_m", "live_position_m"]] *= 1.5
     write_table(other / "fuse" / "errors.parquet", errors, of)
     manifest = read_json(other / "fuse" / "manifest.json") | {"outputs": output_hashes(other / "fuse")}
     write_json(other / "fuse" / "manifest.json", manifest | {"seed": 7, "settings": {"options": {"window": 30}}})

@@ -32,7 +32,7 @@ def test_costs_stand_where_bytes_time_and_the_median_error_say() -> None:
         models=list(errors),
         cards=pd.DataFrame({"model": ["large", "elsewhere"], "bytes": [2**24, None]}),
         localisers=pd.DataFrame({"model": ["small", "lost"], "bytes": [2**21, 2**21]}),
-        raw_errors=lambda model: pd.DataFrame({"split": "test", "apr_position_m": errors[model]}),
+        raw_errors=lambda model: pd.DataFrame({"split": "test", "raw_position_m": errors[model]}),
         runtime_ms=lambda model: {"small": 50.0, "large": 10.0, "lost": 10.0}[model],
         label=str.upper,
     )

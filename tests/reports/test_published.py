@@ -97,7 +97,7 @@ def printed_from_frames(frames: int, shares: tuple[float, float], seed: int) -> 
         inside = members[subset]
         everything = np.ones(frames, bool)
         for method, over, values, mask in (
-            ("apr", "all", raw, everything), ("apr", "subset", raw, inside), ("mobilearloc", "subset", fused, inside)
+            ("raw", "all", raw, everything), ("raw", "subset", raw, inside), ("paper_rule", "subset", fused, inside)
         ):  # fmt: skip
             keys = {
                 "environment": "indoor",
@@ -133,11 +133,11 @@ def test_tables_printed_from_frames_always_agree(frames: int, rp: float, opt: fl
 @pytest.mark.parametrize(
     ("table", "subset", "method", "column", "change", "rule"),
     [
-        ("errors", "rp+opt", "mobilearloc", "rotation_deg", 1.0, "pooled_mean"),
-        ("errors", "rp", "apr", "translation_m", 0.02, "raw_repeated"),
-        ("levels", "opt", "mobilearloc", "medium", 1.3, "level_whole"),
-        ("levels", "rp+opt", "mobilearloc", "share", -7.0, "share_sum"),
-        ("levels", "rp", "mobilearloc", "high", 90.0, "level_order"),
+        ("errors", "rp+opt", "paper_rule", "rotation_deg", 1.0, "pooled_mean"),
+        ("errors", "rp", "raw", "translation_m", 0.02, "raw_repeated"),
+        ("levels", "opt", "paper_rule", "medium", 1.3, "level_whole"),
+        ("levels", "rp+opt", "paper_rule", "share", -7.0, "share_sum"),
+        ("levels", "rp", "paper_rule", "high", 90.0, "level_order"),
     ],
 )
 def test_a_number_changed_by_hand_is_found(
@@ -166,7 +166,7 @@ def test_printed_numbers_stand_for_intervals() -> None:
 
 def test_shares_of_many_frames_add_up_where_some_of_the_counts_that_they_stand_for_do() -> None:
     # 667 + 667 of 2000: each 33.4 % is 667, 668 or 669 of them, and 66.7 % not twice the middle one.
-    keys = {"environment": "indoor", "scene": "Hall", "model": "PN", "method": "mobilearloc", "over": "subset"}
+    keys = {"environment": "indoor", "scene": "Hall", "model": "PN", "method": "paper_rule", "over": "subset"}
     row = keys | dict.fromkeys(("high", "medium", "low"), 0.0)
     levels = pd.DataFrame(
         [row | {"subset": s, "share": share} for s, share in (("rp", 33.4), ("opt", 33.4), ("rp+opt", 66.7))]

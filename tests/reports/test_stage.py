@@ -79,14 +79,14 @@ def table_of(data: DataRoot, scene: str, stage: str, table: str) -> pd.DataFrame
 def test_cells_are_what_the_errors_say(church: tuple[DataRoot, Path]) -> None:
     data, folder = church
     errors = table_of(data, "Church", "fuse", "errors")
-    errors = errors[(errors["split"] == "test") & (errors["method"] == "mobilearloc") & (errors["model"] == "MS-T")]
+    errors = errors[(errors["split"] == "test") & (errors["method"] == "paper_rule") & (errors["model"] == "MS-T")]
     for subset, statuses in (("rp", {"reliable"}), ("opt", {"optimised"}), ("rp+opt", {"reliable", "optimised"})):
         part = errors[[status in statuses for status in errors["status"]]]
         ours = cells_of(folder, source="ours", scene="Church", model="MS-T", row=subset).set_index("column")["value"]
         assert ours["MS-T+VIO mean translation"] == pytest.approx(sum(part["position_m"]) / len(part))
         assert ours["MS-T+VIO median rotation"] == pytest.approx(np.percentile(part["rotation_deg"], 50))
-        assert ours["MS-T, same frames mean rotation"] == pytest.approx(sum(part["apr_rotation_deg"]) / len(part))
-        assert ours["MS-T mean translation"] == pytest.approx(sum(errors["apr_position_m"]) / len(errors))
+        assert ours["MS-T, same frames mean rotation"] == pytest.approx(sum(part["raw_rotation_deg"]) / len(part))
+        assert ours["MS-T mean translation"] == pytest.approx(sum(errors["raw_position_m"]) / len(errors))
         medium = [p <= 0.5 and r <= 5 for p, r in zip(part["position_m"], part["rotation_deg"], strict=True)]
         assert ours["MS-T+VIO level medium"] == pytest.approx(100 * sum(medium) / len(part))
         assert ours["MS-T+VIO share frames"] == pytest.approx(100 * len(part) / len(errors))
@@ -95,9 +95,9 @@ def test_cells_are_what_the_errors_say(church: tuple[DataRoot, Path]) -> None:
 def test_a_missing_pose_is_a_failure(church: tuple[DataRoot, Path]) -> None:
     data, folder = church
     errors = table_of(data, "Church", "fuse", "errors")
-    errors = errors[(errors["split"] == "test") & (errors["method"] == "mobilearloc") & (errors["model"] == "PN")]
+    errors = errors[(errors["split"] == "test") & (errors["method"] == "paper_rule") & (errors["model"] == "PN")]
     live = errors["live_position_m"]
-    rows = cells_of(folder, source="ours", table="IV", model="PN", method="mobilearloc", row="all")
+    rows = cells_of(folder, source="ours", table="IV", model="PN", method="paper_rule", row="all")
     ours = rows.set_index("column")["value"]
     assert 0 < live.isna().sum() < len(live)
     assert ours["PN+VIO coverage frames"] == pytest.approx(100 * live.notna().mean())
@@ -118,7 +118,7 @@ def test_offline_methods_stand_apart_and_do_not_shrink_the_common_frames(church:
     assert "Offline: smoother: from the whole walk." in table
     ours = cells_of(folder, source="ours", table="IV", model="PN", row="common").set_index("method")
     covered = ours[ours["quantity"] == "frames"].groupby("method")["value"].apply(list)
-    assert covered["mobilearloc"][1] == covered["apr"][1] == 100 > covered["smoother"][1]
+    assert covered["paper_rule"][1] == covered["raw"][1] == 100 > covered["smoother"][1]
 
 
 def test_frames_of_uncertain_ground_truth_are_left_out_of_levels_and_counted(
@@ -126,11 +126,11 @@ def test_frames_of_uncertain_ground_truth_are_left_out_of_levels_and_counted(
 ) -> None:
     data, folder = pair
     errors = table_of(data, "Square", "fuse", "errors")
-    errors = errors[(errors["split"] == "test") & (errors["method"] == "mobilearloc") & (errors["model"] == "PN")]
+    errors = errors[(errors["split"] == "test") & (errors["method"] == "paper_rule") & (errors["model"] == "PN")]
     part = errors[errors["status"].isin(["reliable", "optimised"])]
     sure = part[part["quality"] == "A"]
     assert 0 < len(sure) < len(part)
-    ours = cells_of(folder, source="ours", table="III", scene="Square", row="rp+opt", model="PN", method="mobilearloc")
+    ours = cells_of(folder, source="ours", table="III", scene="Square", row="rp+opt", model="PN", method="paper_rule")
     medium = ours[ours["quantity"] == "medium"].iloc[0]
     within = (sure["position_m"] <= 0.5) & (sure["rotation_deg"] <= 5)
     assert medium["value"] == pytest.approx(100 * within.mean()) and medium["source_rows"] == len(sure)
@@ -211,9 +211,9 @@ def test_structure_localisers_stand_beside_the_regressors(make_run: MakeRun) -> 
     assert (one["Map storage"], one["Map runtime"]) == ("1.5", "60.0")
     errors = table_of(data, "Yard", "fuse", "errors")
     errors = errors[(errors["split"] == "test") & (errors["model"] == "Map")].drop_duplicates("frame_id")
-    levels = cells_of(folder, source="ours", table="III", row="rp", model="Map", method="apr", over="all")
+    levels = cells_of(folder, source="ours", table="III", row="rp", model="Map", method="raw", over="all")
     high = levels.loc[levels["quantity"] == "high", "value"].iloc[0]
-    assert high == pytest.approx(100 * errors["apr_position_m"].notna().mean()) and high < 90  # a refusal fails
+    assert high == pytest.approx(100 * errors["raw_position_m"].notna().mean()) and high < 90  # a refusal fails
     assert "Map, same frames" in (folder / "tables" / "table2.md").read_text()
     table = (folder / "tables" / "table1.md").read_text()
     assert "Yard, storage of Map in MB: descriptors 1.00, points 0.50." in table
@@ -244,7 +244,7 @@ def test_errors_by_walk_or_by_appearance(appearances: tuple[str, str], make_run:
     assert [row[:2] for row in rows if row] == [[model, walk] for model in ("PN", "MS-T", "Map") for walk in walks]
     for row in filter(None, rows):
         session = ["walk_3", "walk_4"][walks.index(row[1])]
-        metres = errors.loc[(errors["model"] == row[0]) & (errors["session_id"] == session), "apr_position_m"]
+        metres = errors.loc[(errors["model"] == row[0]) & (errors["session_id"] == session), "raw_position_m"]
         assert row[2:4] == [str(len(metres)), str(int(metres.notna().sum()))]
         assert float(row[4]) == pytest.approx(metres.fillna(np.inf).median(), abs=0.01)
     assert ("Errors by appearance" in page) == (walks == list(appearances))
@@ -275,8 +275,8 @@ def test_the_page_shows_what_a_user_sees(church: tuple[DataRoot, Path]) -> None:
     page = (folder / "page.html").read_text(encoding="utf-8")
     table = page[page.index('id="users-Church"') :]
     rows = [re.findall(r"<td[^>]*>(.*?)</td>", r) for r in re.findall(r"<tr.*?</tr>", table[: table.index("</table>")])]
-    assert ["PN", "apr", "never", "a whole walk", "0.125", "0.750", "–"] in rows
-    assert ["PN", "mobilearloc", "3.0", "4.2", "0.125", "0.750", "never"] in rows
+    assert ["PN", "raw", "never", "a whole walk", "0.125", "0.750", "–"] in rows
+    assert ["PN", "paper_rule", "3.0", "4.2", "0.125", "0.750", "never"] in rows
     assert rows[-1] == ["MS-T", "smoother (offline)", "3.0", "4.2", "0.125", "0.750", "–"]
 
 
@@ -341,9 +341,9 @@ def test_a_groups_own_models_replace_its_members(pair: tuple[DataRoot, Path]) ->
     data, folder = pair
     for model, factor in (("PN", 1.0), ("MS-T", 0.5)):
         errors = table_of(data, "Hall", "fuse", "errors")
-        errors = errors[(errors["split"] == "test") & (errors["method"] == "apr") & (errors["model"] == model)]
+        errors = errors[(errors["split"] == "test") & (errors["method"] == "raw") & (errors["model"] == model)]
         ours = cells_of(folder, source="ours", table="II", scene="Hall", column=f"{model} mean translation")
-        assert list(ours["value"]) == pytest.approx([factor * errors["apr_position_m"].mean()] * 3)
+        assert list(ours["value"]) == pytest.approx([factor * errors["raw_position_m"].mean()] * 3)
     page = (folder / "page.html").read_text(encoding="utf-8")
     assert "train of both" in page and "fuse of both" in page
     assert page.count(">Square, Hall</td>") == 2  # trained on, in each scene's model cards
@@ -466,9 +466,9 @@ def test_the_same_run_gives_the_same_bytes(chair: tuple[DataRoot, Path]) -> None
 @pytest.mark.parametrize(
     ("methods", "headline"),
     [
-        (["apr", "mine"], ["PN, alone", "PN+my filter"]),
+        (["raw", "mine"], ["PN, alone", "PN+my filter"]),
         (["mine"], ["PN+my filter"]),
-        (["apr", "smoother"], ["PN, alone"]),
+        (["raw", "smoother"], ["PN, alone"]),
     ],
 )
 def test_a_run_without_the_papers_rule(make_run: MakeRun, methods: list[str], headline: list[str]) -> None:
@@ -477,7 +477,7 @@ def test_a_run_without_the_papers_rule(make_run: MakeRun, methods: list[str], he
     folder = data.run("tiny", "Bar", "fuse")
     for table in ("poses", "errors", "intervals", "sessions", "methods"):
         rows = table_of(data, "Bar", "fuse", table)
-        rows["method"] = rows["method"].replace("mobilearloc", "mine")
+        rows["method"] = rows["method"].replace("paper_rule", "mine")
         if table == "methods":
             rows["label"] = rows["label"].replace("VIO", "my filter")
         write_table(folder / f"{table}.parquet", rows[rows["method"].isin(methods)], schema("fuse", table))
@@ -487,7 +487,7 @@ def test_a_run_without_the_papers_rule(make_run: MakeRun, methods: list[str], he
     errors = table_of(data, "Bar", "fuse", "errors")
     errors = errors[(errors["split"] == "test") & (errors["model"] == "PN")].drop_duplicates("frame_id")
     mean = cells_of(report, source="ours", table="II", model="PN", statistic="mean", quantity="translation")
-    assert mean["value"].tolist() == [pytest.approx(errors["apr_position_m"].mean())]
+    assert mean["value"].tolist() == [pytest.approx(errors["raw_position_m"].mean())]
     assert set(cells_of(report, source="ours", table="IV")["method"]) == set(methods)
     names = [row[0] for row in rows_of(report, "headline-Bar")]
     assert [name for name in names if name.startswith("PN")] == headline
@@ -521,7 +521,7 @@ def test_without_vio_nothing_is_fused_and_the_report_says_so_once(
     for table, row in (("II", "rp+opt"), ("IV", "all")):
         cells = cells_of(report, source="ours", table=table, model="PN", statistic="median", quantity="translation")
         of_row = cells[cells["row"] == row]
-        assert of_row["value"].tolist() == [pytest.approx(pn["apr_position_m"].median())]
+        assert of_row["value"].tolist() == [pytest.approx(pn["raw_position_m"].median())]
     assert not [name for name in drawings if "vio" in name]
     assert {"Hall-error-distribution", "Hall-costs"} <= set(drawings)
     table2 = (report / "tables" / "table2.md").read_text()
@@ -551,16 +551,16 @@ def test_walks_without_vio_beside_others_are_scored_alone(make_run: MakeRun) -> 
     assert "No VIO in walk_4: nothing is fused there" in page
     errors = table_of(data, "Hall", "fuse", "errors")
     pn = errors[(errors["split"] == "test") & (errors["model"] == "PN")]
-    raw = pn[pn["method"] == "apr"]
+    raw = pn[pn["method"] == "raw"]
 
     def medians(**keys: str) -> list[float]:
-        found = cells_of(report, source="ours", model="PN", method="apr", statistic="median", **keys)
+        found = cells_of(report, source="ours", model="PN", method="raw", statistic="median", **keys)
         return found.loc[found["quantity"] == "translation", "value"].tolist()
 
     # Alone over all frames; and beside methods that fuse, over the frames that these can answer.
-    assert medians(table="II", row="rp+opt", over="all") == [pytest.approx(raw["apr_position_m"].median())]
+    assert medians(table="II", row="rp+opt", over="all") == [pytest.approx(raw["raw_position_m"].median())]
     fusible = raw[raw["session_id"] == "walk_3"]
-    assert medians(table="IV", row="all") == [pytest.approx(fusible["apr_position_m"].median())]
+    assert medians(table="IV", row="all") == [pytest.approx(fusible["raw_position_m"].median())]
     findings = pd.read_parquet(report / "checks.parquet")
     scored = findings[(findings["check"] == "all_scored") & (findings["source"] == "ours")]
     assert len(scored) == 6 and (scored["status"] == "agrees").all()
@@ -570,8 +570,8 @@ def test_walks_without_vio_beside_others_are_scored_alone(make_run: MakeRun) -> 
 @pytest.mark.parametrize(
     ("ahead", "headline"),
     [
-        ("mobilearloc", ["PN, alone", "PN+VIO"]),
-        ("apr", ["PN, alone"]),
+        ("paper_rule", ["PN, alone", "PN+VIO"]),
+        ("raw", ["PN, alone"]),
         ("smoother", ["PN, alone", "PN+smoother"]),
     ],
 )
@@ -584,7 +584,7 @@ def test_the_headline_has_what_is_ahead_on_held_out_frames_and_by_how_many(
     rows = [
         {"method": name, "model": model, "scene": "Bar", "ahead": name == ahead} | figures
         for model in ("PN", "MS-T")
-        for name in ("apr", "mobilearloc", "smoother")
+        for name in ("raw", "paper_rule", "smoother")
     ]
     write_table(folder / "validation.parquet", pd.DataFrame(rows), schema("fuse", "validation"))
     write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})

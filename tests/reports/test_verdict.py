@@ -189,7 +189,7 @@ def test_page_tables_terminal_summary_and_errors_agree_on_who_has_a_pose(
     run = groundwalk.open("Yard", profile="tiny", data=data.root)
     summary = run.summary()
     for model in ("PN", "MS-T", "Map"):
-        for method, name in (("apr", f"{model}, alone"), ("mobilearloc", f"{model}+VIO")):
+        for method, name in (("raw", f"{model}, alone"), ("paper_rule", f"{model}+VIO")):
             rows = run.errors[(run.errors["model"] == model) & (run.errors["method"] == method)]
             answered, frames = int(rows["live_position_m"].notna().sum()), len(rows)
             coverage, median = 100 * answered / frames, rows["live_position_m"].fillna(np.inf).median()
@@ -199,8 +199,8 @@ def test_page_tables_terminal_summary_and_errors_agree_on_who_has_a_pose(
             assert value["median", "translation"] == pytest.approx(median)
             assert headline[name][1] == f"{median:.2f}" if median > 0.1 else f"{median:.3f}"
             assert headline[name][4] == f"{coverage:.1f}"
-            assert headline[name][5] == {"apr": "1.60 to infinite", "mobilearloc": "1.20 to 1.95"}[method]
-            label = model if method == "apr" else name
+            assert headline[name][5] == {"raw": "1.60 to infinite", "paper_rule": "1.20 to 1.95"}[method]
+            label = model if method == "raw" else name
             assert f"| Yard | {label} | {coverage:.1f} |" in table4
             assert f"Yard: {name}: median {headline[name][1]} m" in said and f"{coverage:.1f} % have a pose" in said
             assert f"{method}, {model}" in summary

@@ -17,8 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from groundwalk.fusion.methods.estimator.compiled import compiled
-from groundwalk.fusion.methods.estimator.matrices import add_product, clear, invert
+from groundwalk.fusion.methods.estimator.compiled import add_product, clear, compiled, invert
 from groundwalk.geometry.poses import Array
 
 # Of the six numbers of an error: those that the unknowns (x, y, z, yaw) change.
@@ -35,7 +34,7 @@ class Chain(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Increments (N, 4) and the covariances of each (N, 4, 4); fault: the first keyframe that nothing binds, or -1.
+    """Increments (N, 4) and the covariances of each (N, 4, 4).
 
     gain (N, 4, 4): by what an increment follows the next one's, in the inverse of the information as well.
     """
@@ -43,7 +42,6 @@ class Solution(NamedTuple):
     increments: Array
     covariance: Array
     gain: Array
-    fault: int
 
 
 @compiled
@@ -74,8 +72,7 @@ def solve(chain: Chain, state: Array, information: Array, gradient: Array) -> So
         after = i + 1
         if after < count:
             _bind(chain, state, i, covariance, right, below)
-        if invert(covariance[i]) <= 0:
-            return Solution(increments, covariance, gain, i)
+        invert(covariance[i])
         if after < count:
             add_product(below, covariance[i], gain[i], (4, 4, 4))
             add_product(gain[i], below.T, covariance[after], (4, 4, 4), -1.0)
@@ -94,7 +91,7 @@ def solve(chain: Chain, state: Array, information: Array, gradient: Array) -> So
             for j in range(4):
                 for k in range(4):
                     increments[i, j] -= gain[i, k, j] * increments[i + 1, k]
-    return Solution(increments, covariance, gain, -1)
+    return Solution(increments, covariance, gain)
 
 
 @compiled

@@ -1,4 +1,5 @@
-"""Functions that numba compiles to machine code.
+"""Functions that numba compiles to machine code, and the small matrices that they need: products, and the inverse of
+positive definite ones. Sizes are constants where they are called.
 
 The matrices of a step are so small that each call of numpy costs more than its arithmetic does, and there are hundreds
 of calls. Compiled functions work on plain numbers and arrays, and call each other. Loops over numbers compile several
@@ -8,7 +9,17 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import Array
 from groundwalk.store.compiled import Function, compiled_and_kept, njit
+
+Rows = NDArray[np.void]
+"""Keyframes (N,), of dtype KEYFRAME (keyframes.py)."""
+Row = Any
+"""One of them."""
 
 
 def _stamp() -> str:
@@ -31,3 +42,53 @@ def inlined(function: Function) -> Function:
     )
     typed: Function = dispatcher
     return typed
+
+
+@inlined
+def add_product(a: Array, b: Array, result: Array, shape: tuple[int, int, int], scale: float = 1.0) -> None:
+    """Add scale * a @ b to the result: shape (n, m, p) of matrices (n, m) and (m, p)."""
+    n, m, p = shape
+    for i in range(n):
+        for k in range(m):
+            entry = scale * a[i, k]
+            for j in range(p):
+                result[i, j] += entry * b[k, j]
+
+
+@inlined
+def write_columns(matrix: Array, columns: tuple[int, ...], result: Array, rows: int) -> None:
+    """Writes some columns of a matrix with so many rows."""
+    for j in range(rows):
+        for k in range(len(columns)):
+            result[j, k] = matrix[j, columns[k]]
+
+
+@inlined
+def clear(matrix: Array, rows: int, columns: int) -> None:
+    """Writes zeros."""
+    for j in range(rows):
+        for k in range(columns):
+            matrix[j, k] = 0.0
+
+
+@compiled
+def invert(matrix: Array) -> float:
+    """Invert a symmetric matrix (n, n) in its place (Gauss and Jordan); returns its determinant. GeometryError where it
+    isn't positive definite."""
+    n = len(matrix)
+    determinant = 1.0
+    for k in range(n):
+        pivot = matrix[k, k]
+        if not pivot > 0:
+            raise GeometryError("the predictions leave the alignment undetermined: a matrix isn't positive definite")
+        determinant *= pivot
+        matrix[k, k] = 1.0
+        for j in range(n):
+            matrix[k, j] /= pivot
+        for i in range(n):
+            if i != k:
+                rest = matrix[i, k]
+                matrix[i, k] = 0.0
+                for j in range(n):
+                    matrix[i, j] -= rest * matrix[k, j]
+    return determinant

@@ -5,28 +5,43 @@ covariance of their errors (error_covariance.py) fitted along: a prediction that
 Each new prediction starts from the last solution, so that few iterations do.
 """
 
-from math import cos, exp, inf, isnan, log, nan, sin
+from math import cos, exp, isnan, log, nan, sin
 from typing import NamedTuple
 
 import numpy as np
 
 from groundwalk.fusion.methods.estimator import robust
-from groundwalk.fusion.methods.estimator.chain import UNKNOWN, Chain, Solution, apply, solve, write_error
-from groundwalk.fusion.methods.estimator.compiled import compiled, inlined
-from groundwalk.fusion.methods.estimator.error_correlation import (
+from groundwalk.fusion.methods.estimator.chain import (
+    UNKNOWN,
+    Chain,
+    Solution,
+    apply,
+    covariances_with,
+    solve,
+    write_error,
+)
+from groundwalk.fusion.methods.estimator.compiled import (
+    Row,
+    Rows,
+    add_product,
+    clear,
+    compiled,
+    inlined,
+    invert,
+    write_columns,
+)
+from groundwalk.fusion.methods.estimator.odometry_step import CERTAIN
+from groundwalk.fusion.methods.estimator.prediction_errors import (
+    Prior,
     effective_weights,
     error_correlations,
+    expected_variances,
     position_variances,
+    scatter,
 )
-from groundwalk.fusion.methods.estimator.error_covariance import Prior, scatter
-from groundwalk.fusion.methods.estimator.keyframes import Row, Rows
-from groundwalk.fusion.methods.estimator.matrices import add_product, clear, invert, write_columns
-from groundwalk.fusion.methods.estimator.odometry_step import CERTAIN
-from groundwalk.geometry import GeometryError
-from groundwalk.geometry.poses import Array
+from groundwalk.geometry.poses import Array, yaw_rotation
 
 DIMENSIONS = 6
-_REFRESHED = 5  # keyframes whose posterior is worked out anew in an iteration
 _DECIDED = 10  # newest keyframes of which it is asked whether odometry jumped before
 _UNBOUND = 1e4  # variance (m^2) of a step of which nothing is known
 DOF = 3.0  # of the errors' Student's t: heavy tails, as outliers are neither rare nor of a known size
@@ -37,12 +52,15 @@ class Belief(NamedTuple):
     """What the states are fitted under.
 
     prior: of the covariance of normalised errors. covariance (6, 6): as it is so far. drift_factors (4,): of the usual
-    variances of odometry's drift.
+    variances of odometry's drift. lean (2,): of odometry's vertical against the map's, about odometry's x and z (rad),
+    as it is so far, and lean_variance an axis beforehand.
     """
 
     prior: Prior
     covariance: Array
     drift_factors: Array
+    lean: Array
+    lean_variance: float
 
 
 class Fit(NamedTuple):
@@ -50,7 +68,8 @@ class Fit(NamedTuple):
 
     covariance (6, 6): of normalised errors. squared (N,): each keyframe's squared error in its units. weights (N,):
     what the robust kernel lets each count; effective (N,): what it says that others don't. correlation (N, N): of
-    errors, below the diagonal. information (N, 4, 4) and solution: the predictions' terms, and the step.
+    errors, below the diagonal. information (N, 4, 4) and solution: the predictions' terms, and the step. lean (2,) and
+    lean_variance: as known now.
     """
 
     covariance: Array
@@ -60,6 +79,8 @@ class Fit(NamedTuple):
     correlation: Array
     information: Array
     solution: Solution
+    lean: Array
+    lean_variance: float
 
 
 @compiled
@@ -78,7 +99,7 @@ def innovation(keyframes: Rows, belief: Belief, known: Array) -> float:
     for j in range(4):
         known[j, j] += belief.drift_factors[j] * newest.drift[j] + newest.added_variance[j]
     normalised, unknown, spread = np.empty(6), np.empty((6, 4)), np.empty((6, 6))
-    _write_normalised(newest, normalised)
+    _write_normalised(newest, belief.lean, normalised)
     write_columns(newest.whitening, UNKNOWN, unknown, 6)
     _write_sandwich(unknown, known, 1.0, spread, (6, 4))
     precision, left = belief.covariance + spread, np.zeros(6)
@@ -95,23 +116,13 @@ def innovation(keyframes: Rows, belief: Belief, known: Array) -> float:
     return max(expected, _EXCESS * error)
 
 
+@compiled
 def iterate(keyframes: Rows, belief: Belief, newest: float = nan) -> Fit:
     """One iteration: weights and covariance from the errors as they are expected (expectation and maximisation: an
     error is what is left of the prediction, and how uncertain the state is), then one step of the keyframes' states.
 
-    `newest` stands in for the newest keyframe's squared error in its weight (`innovation`). Raises GeometryError
-    where nothing binds a keyframe.
+    `newest` stands in for the newest keyframe's squared error in its weight (`innovation`).
     """
-    fit = _iterate(keyframes, belief, newest)
-    if fit.solution.fault >= 0:
-        raise GeometryError(
-            f"nothing binds keyframe {fit.solution.fault} of {len(keyframes)}: the information isn't positive"
-        )
-    return fit
-
-
-@compiled
-def _iterate(keyframes: Rows, belief: Belief, newest: float) -> Fit:
     count = len(keyframes)
     normalised, unknown, spread = np.empty((count, 6)), np.empty((count, 6, 4)), np.empty((count, 6, 6))
     precision = belief.covariance.copy()
@@ -121,7 +132,7 @@ def _iterate(keyframes: Rows, belief: Belief, newest: float) -> Fit:
     effective = effective_weights(keyframes, variances, correlation, belief.drift_factors[0])
     squared, weights = np.empty(count), np.empty(count)
     for i in range(count):
-        _write_normalised(keyframes[i], normalised[i])
+        _write_normalised(keyframes[i], belief.lean, normalised[i])
         write_columns(keyframes[i].whitening, UNKNOWN, unknown[i], 6)
         _write_sandwich(unknown[i], keyframes[i].posterior, effective[i], spread[i], (6, 4))
         weights[i] = robust.weight(_expected(normalised[i], spread[i], precision), DIMENSIONS, DOF)
@@ -138,10 +149,28 @@ def _iterate(keyframes: Rows, belief: Belief, newest: float) -> Fit:
         if abs(keyframes[i].odds) < CERTAIN:
             _weigh_jump(keyframes, chain, i, information, gradient)
     solution = solve(chain, keyframes["state"], information, gradient)
-    if solution.fault < 0:
-        apply(keyframes["state"], solution.increments)
-        _refresh(keyframes, solution.covariance)
-    return Fit(covariance, squared, weights, effective, correlation, information, solution)
+    apply(keyframes["state"], solution.increments)
+    for i in range(count):
+        keyframes[i].posterior[:] = solution.covariance[i]
+    lean, lean_variance = _lean(keyframes, covariance, effective * weights, belief.lean_variance)
+    return Fit(covariance, squared, weights, effective, correlation, information, solution, lean, lean_variance)
+
+
+@compiled
+def _lean(keyframes: Rows, covariance: Array, weights: Array, variance: float) -> tuple[Array, float]:
+    """The lean (2,) of odometry's vertical that predictions name, and its variance an axis, which was `variance`. All
+    predictions of a walk may lean alike, so that their mean is no better than one of them, and a little more."""
+    mean, error, total, precision = np.zeros(2), np.empty(6), 0.0, 0.0
+    factor = (covariance[0, 0] + covariance[1, 1] + covariance[2, 2]) / 3
+    for i in range(len(keyframes)):
+        write_error(keyframes[i].state, keyframes[i].measured, error)
+        counts = weights[i] / (factor * expected_variances(keyframes[i].whitening)[1])
+        mean[0] += counts * error[0]
+        mean[1] += counts * error[2]
+        total += weights[i]
+        precision += counts
+    gain = variance / (variance + (1 + total) / precision)
+    return gain * mean / precision, (1 - gain) * variance
 
 
 @compiled
@@ -196,10 +225,12 @@ def _weigh_jump(keyframes: Rows, chain: Chain, at: int, information: Array, grad
 
 
 @compiled
-def _write_normalised(keyframe: Row, normalised: Array) -> None:
-    """Writes a prediction's error (6,) in camera axes, over its expected size."""
+def _write_normalised(keyframe: Row, lean: Array, normalised: Array) -> None:
+    """Writes a prediction's error (6,) in camera axes, over its expected size. lean (2,): odometry's."""
     error = np.empty(6)
     write_error(keyframe.state, keyframe.measured, error)
+    error[0] -= lean[0]
+    error[2] -= lean[1]
     for j in range(6):
         normalised[j] = 0.0
         for k in range(6):
@@ -242,19 +273,22 @@ def _normal_equations(normalised: Array, unknown: Array, precision: Array, weigh
     return information, gradient
 
 
-@compiled
-def _refresh(keyframes: Rows, covariance: Array) -> None:
-    """Note the covariances (N, 4, 4) of some keyframes' states: of the newest always, of the others in turns."""
-    count = len(keyframes)
-    for i in range(count):
-        keyframes[i].age += 1
-    keyframes[-1].age = inf
-    for _ in range(min(_REFRESHED, count)):
-        oldest = 0
-        for i in range(count):
-            if keyframes[i].age > keyframes[oldest].age:
-                oldest = i
-        keyframes[oldest].age = 0
-        for j in range(4):
-            for k in range(4):
-                keyframes[oldest].posterior[j, k] = covariance[oldest, j, k]
+def alignment_covariance(keyframes: Rows, fit: Fit, index: int) -> Array:
+    """Covariance (4, 4) of the `index`th keyframe's x, y, z and yaw, in map axes.
+
+    The fit takes predictions for independent ones that count less. What it is worth hangs on how their errors are
+    really correlated. This is the covariance of the fit's linear response to such errors (a sandwich, as of generalised
+    estimating equations; Liang and Zeger, Biometrika 73, 1986).
+    """
+    response = covariances_with(fit.solution, index)  # (N, 4, 4): of increments to a keyframe's gradient
+    # What an error of each of a prediction's six numbers, over its size, does to the state, (N, 6, 4).
+    counts = fit.effective * np.sqrt(fit.weights)
+    moved = counts[:, None, None] * keyframes["whitening"][:, :, UNKNOWN] @ response
+    correlation = fit.correlation + fit.correlation.T + np.eye(len(keyframes))
+    together = np.tensordot(correlation, moved, 1)
+    by_errors = np.tensordot(moved, np.linalg.solve(fit.covariance, together), ((0, 1), (0, 1)))
+    by_drift = response[index] - np.tensordot(response, fit.information @ response, ((0, 1), (0, 1)))
+    turn = np.eye(4)
+    turn[:3, :3] = yaw_rotation(keyframes["state"][index, 3])
+    covariance = turn @ (by_drift + by_errors) @ turn.T
+    return np.asarray(covariance + covariance.T) / 2

@@ -4,16 +4,13 @@ A keyframe is a prediction with what odometry said of the way to it. When the ta
 goes: whose neighbours are nearest to each other in motion, for the time that has passed since. So the newest are kept
 as they came, older ones ever farther apart."""
 
-from collections.abc import Sequence
 from math import cos, sin
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from groundwalk.fusion.methods.estimator.compiled import compiled
+from groundwalk.fusion.methods.estimator.compiled import Rows, compiled
 from groundwalk.fusion.methods.estimator.odometry_step import CERTAIN
-from groundwalk.geometry.poses import Array
 
 KEYFRAME = np.dtype(
     [
@@ -30,23 +27,17 @@ KEYFRAME = np.dtype(
         ("bridge", float, 4),  # what bridging adds to the variances where it has jumped
         ("odds", float),  # logarithm of the odds beforehand that it has (odometry_step.py)
         ("state", float, 4),  # the camera's map position and the yaw of map_R_vio, as estimated
-        ("posterior", float, (4, 4)),  # covariance of the state, turned back by the yaw, as it was `age` iterations ago
-        ("age", float),
+        ("posterior", float, (4, 4)),  # covariance of the state, turned back by the yaw, as it was an iteration ago
         ("along", float),  # motion since the start
         ("time_s", float),
         ("segment", float),  # counts up where odometry lost its frame, or may have
         ("kept_odds", float),  # logarithm of the odds against that, before the keyframe
     ]
 )
-_WIDTH = KEYFRAME.itemsize // 8
-Rows = NDArray[np.void]
-"""Keyframes (N,), of dtype KEYFRAME."""
-Row = Any
-"""One of them."""
 
 
 class Keyframes:
-    """The table. `rows` and columns are views of what is in use, which writing to changes."""
+    """The table. `rows` is a view of what is in use, which writing to changes."""
 
     def __init__(self, capacity: int, kept_s: float = 0.0) -> None:
         """`capacity`: how many are kept of those older than `kept_s`; younger ones are all kept."""
@@ -62,11 +53,6 @@ class Keyframes:
         """The keyframes in use."""
         return self._rows[: self._count]
 
-    def column(self, name: str) -> Array:
-        """What the keyframes hold of one kind, (N, ...)."""
-        column: Array = self._rows[name][: self._count]
-        return column
-
     def add(self, **values: Any) -> None:
         """Put one at the end; where the table is full, another one goes."""
         if self._count == len(self._rows):
@@ -75,7 +61,7 @@ class Keyframes:
         for name, value in values.items():
             row[name] = value
         self._count += 1
-        times_s = self.column("time_s")
+        times_s = self.rows["time_s"]
         old = int(np.searchsorted(times_s, times_s[-1] - self.kept_s, side="right"))
         if old > self.capacity:
             self.remove(_least(self.rows, old))
@@ -84,24 +70,6 @@ class Keyframes:
         """Take one out; the way to the next one is then the way over it."""
         _close(self.rows, index)
         self._count -= 1
-
-    def keep(self, rows: Sequence[int] | Array) -> None:
-        """Drop all but these rows (rising)."""
-        gone = np.setdiff1d(np.arange(self._count), rows)
-        for index in gone[::-1]:
-            self.remove(int(index))
-
-    def save(self) -> list[list[float]]:
-        """The rows as plain lists."""
-        plain: list[list[float]] = self.rows.view(float).reshape(-1, _WIDTH).tolist()
-        return plain
-
-    def restore(self, rows: list[list[float]]) -> None:
-        """Take over rows that `save` gave."""
-        self._count = len(rows)
-        if rows:
-            self._rows = np.zeros(max(len(self._rows), len(rows)), dtype=KEYFRAME)
-            self._rows[: len(rows)] = np.array(rows).view(KEYFRAME)[:, 0]
 
 
 @compiled

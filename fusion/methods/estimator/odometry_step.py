@@ -6,11 +6,9 @@ may as well be true, as people run: then both ways are kept, and the predictions
 (fit.py)."""
 
 from math import atan2, cos, exp, sin
-from typing import Any
 
 import numpy as np
 
-from groundwalk.fusion.methods.localiser import plain
 from groundwalk.geometry.poses import Array
 
 CERTAIN = 100.0  # log odds of what is known: that it has jumped, where it turned as no phone does, or that it hasn't
@@ -90,16 +88,6 @@ class OdometryStep:
         """What not knowing that adds to the variances of x, y, z and yaw, (4,)."""
         apart = float(np.sum((np.array(self._step) - self._moved) ** 2)) / 3
         return self.jump * self.added_variance + self.jump * (1 - self.jump) * apart * np.array([1.0, 1.0, 1.0, 0.0])
-
-    def save(self) -> list[Any]:
-        """The state as plain data."""
-        return [self.turn, plain(self.added_variance), self._step, self._moved, self._from, self._velocity, self.odds]
-
-    def restore(self, state: list[Any]) -> None:
-        """Take over what `save` gave."""
-        self.turn, self.added_variance = state[0], np.array(state[1])
-        self._step, self._moved, self._from, self._velocity = (list(part) for part in state[2:6])
-        self.odds = state[6]
 
     def _since(self, step: list[float], vio_position: Array) -> list[float]:
         now = vio_position.tolist()

@@ -9,10 +9,9 @@ A location hangs less on wrong observations where that weight is raised to the p
 general kernel of shape 2 - nu (CVPR 2019): above nu = 2, where both are the same, the cost is bounded, and the farther
 off an observation is, the less it pulls."""
 
-from math import log1p, nan
+from math import log1p
 
 from groundwalk.fusion.methods.estimator.compiled import compiled
-from groundwalk.geometry.poses import Array
 
 
 @compiled
@@ -31,17 +30,3 @@ def bounded(squared: float, dimensions: int, dof: float) -> float:
 def cost(squared: float, dimensions: int, dof: float) -> float:
     """Negative logarithm of the density at a squared Mahalanobis length, up to a constant."""
     return (dof + dimensions) / 2 * log1p(squared / dof)
-
-
-@compiled
-def middle(values: Array) -> float:
-    """The median of numbers (N,), the upper one of two; NaN where one is."""
-    half = len(values) // 2
-    for value in values:
-        less = at_most = 0
-        for other in values:
-            less += other < value
-            at_most += other <= value
-        if less <= half < at_most:
-            return value
-    return nan

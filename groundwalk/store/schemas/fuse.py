@@ -93,10 +93,10 @@ TABLES = [
             Column("live_status", "string", f"the status in time: {_STATUS}"),
             Column("live_position_m", "float64", "APE of live_map_cam", "m", "map", True),
             Column("live_rotation_deg", "float64", "AOE of live_map_cam", "deg", "", True),
-            Column("apr_position_m", "float64", "APE of the frame's prediction", "m", "map", True),
-            Column("apr_rotation_deg", "float64", "AOE of the frame's prediction", "deg", "", True),
+            Column("raw_position_m", "float64", "APE of the frame's prediction", "m", "map", True),
+            Column("raw_rotation_deg", "float64", "AOE of the frame's prediction", "deg", "", True),
         ],
-        version="1.1",
+        version="2.0",
     ),
     TableSchema(
         "fuse",
@@ -123,11 +123,11 @@ TABLES = [
                 "rp, opt, rp+opt (by `status`, the paper's); all (poses in time, no pose is a failure); common (frames "
                 "that every causal method answered in time with this model)",
             ),
-            Column("scored", "string", "whose poses: method, or apr: the regressor's own, of the same frames"),
+            Column("scored", "string", "whose poses: method, or raw: the predictions, of the same frames"),
             *_SUMMARY_FIGURES,
             Column("map_unit", "string", "what position errors are in", choices=MapUnit),
         ],
-        version="2.1",
+        version="3.0",
     ),
     TableSchema(
         "fuse",
@@ -162,33 +162,6 @@ TABLES = [
             Column("rotation_mean_deg", "float64", "mean AOE over the answered frames", "deg", "", True),
             Column("ahead", "bool", "its geometric mean of both, over the coverage, is the least"),
         ],
-    ),
-    TableSchema(
-        "fuse",
-        "error_maps",
-        "What was learnt of each regressor's errors from held-out frames of training walks: a row a frame, and the "
-        "fitted numbers in each row. `groundwalk.fusion.methods.error_map.ErrorMap.from_table` "
-        "reads it, for an app to ship.",
-        [
-            _SCENE,
-            _MODEL,
-            *(Column(f"apr_{a}_m", "float64", f"predicted position, {a}", "m", "map") for a in "xyz"),
-            *(Column(f"look_{a}", "float64", f"predicted viewing direction, {a}", "", "map") for a in "xyz"),
-            Column("yaw_error_rad", "float64", "the prediction's yaw less the true one", "rad"),
-            *(Column(f"{a}_error_m", "float64", f"predicted less true position, {a}", "m", "map") for a in "xyz"),
-            Column("tilt_error_rad", "float64", "angle between the predicted and the true vertical", "rad"),
-            Column("length_m", "float64", "motion over which errors change", "m"),
-            Column("length_look", "float64", "change of the viewing direction over which errors change"),
-            Column("size_variance", "float64", "variance over the map of the logarithm of an error's variance"),
-            Column("position_noise", "float64", "share of a position error's variance that is new in each frame"),
-            Column("yaw_noise", "float64", "share of a yaw error's variance that is new in each frame"),
-            Column("yaw_per_m", "float64", "yaw error that comes with a metre of error to the left", "rad/m"),
-            Column(
-                "position_repeatability", "float64", "share of the mean position error that is the same on another walk"
-            ),
-            Column("yaw_repeatability", "float64", "share of the mean yaw error that is the same on another walk"),
-        ],
-        version="3.0",
     ),
     TableSchema(
         "fuse",

@@ -24,7 +24,7 @@ TABLES = [
             ),
             Column("column", "string", "heading: model, method and quantity"),
             Column("model", "string", "regressor; empty in Table I where a number isn't a model's"),
-            Column("method", "string", "fusion method's id; apr is the raw regressor; empty in Table I"),
+            Column("method", "string", "fusion method's id; raw is the prediction alone; empty in Table I"),
             Column("options", "string", "the method's options, JSON; empty where unknown or none"),
             Column("over", "string", "all (all test frames) or subset (the row's frames); empty in Table I"),
             Column("statistic", "string", "mean, median, level, share, coverage or value"),

@@ -6,12 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
-from groundwalk.fusion.evaluation.intervals import intervals
+from groundwalk.fusion.evaluation.evaluate import evaluate
+from groundwalk.fusion.evaluation.summary import intervals
+from groundwalk.fusion.files.walks import Inputs
+from groundwalk.fusion.settings import FuseSettings
 from groundwalk.scoring.bootstrap import DRAWS
 from tests.fusion.tables import tables
 
-METHODS = ["apr", "mobilearloc"]
+METHODS = ["raw", "paper_rule"]
 
 
 def errors_of(sessions: list[np.ndarray]) -> pd.DataFrame:
@@ -19,9 +21,9 @@ def errors_of(sessions: list[np.ndarray]) -> pd.DataFrame:
     rows = []
     for number, position_m in enumerate(sessions):
         part = pd.DataFrame({"live_position_m": position_m, "live_rotation_deg": 2 * position_m})
-        part["apr_position_m"], part["apr_rotation_deg"] = part["live_position_m"], part["live_rotation_deg"]
+        part["raw_position_m"], part["raw_rotation_deg"] = part["live_position_m"], part["live_rotation_deg"]
         part["frame_id"] = [f"s{number}/{i:06d}" for i in range(len(part))]
-        rows.append(part.assign(session_id=f"s{number}", method="apr", options="{}", model="PN", scene="Place"))
+        rows.append(part.assign(session_id=f"s{number}", method="raw", options="{}", model="PN", scene="Place"))
     return pd.concat(rows, ignore_index=True).assign(status="predicted", quality=None)
 
 

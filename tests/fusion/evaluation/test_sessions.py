@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from groundwalk.fusion.evaluation.fuse import Fused, Run
-from groundwalk.fusion.evaluation.summary import session_figures
+from groundwalk.fusion.evaluation.sessions import session_figures
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 from tests.fusion.upright_walks import as_walk
 

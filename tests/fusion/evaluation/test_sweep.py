@@ -7,9 +7,11 @@ import pytest
 from typer.testing import CliRunner
 
 from groundwalk.fusion.__main__ import app
-from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate, joined_walks
+from groundwalk.fusion.evaluation.evaluate import evaluate, joined_walks
 from groundwalk.fusion.evaluation.sweep import VALUES, around, grid, sweep
-from groundwalk.fusion.methods.mobilearloc import MobileARLocOptions
+from groundwalk.fusion.files.walks import Inputs
+from groundwalk.fusion.methods.paper_rule import PaperRuleOptions
+from groundwalk.fusion.settings import FuseSettings
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import read_table
 from tests.fusion.tables import tables
@@ -20,10 +22,10 @@ WALKS = {("Place", model): joined.walks for model, joined in joined_walks(INPUTS
 
 @pytest.mark.parametrize("changed", [{}, {"n": 3, "d_th_m": 0.2}, {"o_th_deg": 8.0, "gamma": 0.999}])
 def test_a_setting_has_the_figures_of_the_evaluation(changed: dict[str, Any]) -> None:
-    options = {"mobilearloc": changed}
-    summary = evaluate([INPUTS], FuseSettings(methods=["mobilearloc"], options=options)).tables["summary"]
+    options = {"paper_rule": changed}
+    summary = evaluate([INPUTS], FuseSettings(methods=["paper_rule"], options=options)).tables["summary"]
     stepped = summary[summary["scored"] == "method"].set_index(["model", "subset"])
-    swept = sweep(WALKS, [s for s in around(MobileARLocOptions(**changed)) if s.varied == "n"])
+    swept = sweep(WALKS, [s for s in around(PaperRuleOptions(**changed)) if s.varied == "n"])
     swept = swept[swept["n"] == changed.get("n", 2)].set_index(["model", "subset"])
     assert len(swept) == 4
     for key, row in swept.iterrows():
@@ -32,19 +34,19 @@ def test_a_setting_has_the_figures_of_the_evaluation(changed: dict[str, Any]) ->
 
 
 def test_one_at_a_time_and_every_combination() -> None:
-    single, every = around(MobileARLocOptions(n=4)), grid(MobileARLocOptions())
+    single, every = around(PaperRuleOptions(n=4)), grid(PaperRuleOptions())
     assert len(single) == sum(map(len, VALUES.values()))
     assert all(s.options.n == 4 for s in single if s.varied != "n")
     product = 1
     for values in VALUES.values():
         product *= len(values)
     assert len({s.options.model_dump_json() for s in every}) == len(every) == product >= 1000
-    default = MobileARLocOptions().model_dump()
+    default = PaperRuleOptions().model_dump()
     assert all(default[name] in values for name, values in VALUES.items())
 
 
 def test_processes_change_nothing() -> None:
-    settings = around(MobileARLocOptions())[:3]
+    settings = around(PaperRuleOptions())[:3]
     assert sweep(WALKS, settings, 2).equals(sweep(WALKS, settings))
 
 

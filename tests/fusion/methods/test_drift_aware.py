@@ -2,7 +2,6 @@
 
 What was measured stands beside some bounds."""
 
-import json
 from collections.abc import Iterable
 
 import numpy as np
@@ -13,9 +12,8 @@ from scipy.stats import chi2
 
 from groundwalk.fusion.methods import drift_aware
 from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
-from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, Status
-from groundwalk.fusion.methods.mobilearloc import MobileARLoc
+from groundwalk.fusion.methods.paper_rule import PaperRule
 from groundwalk.fusion.methods.smoother import Smoother, SmootherOptions
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
@@ -41,7 +39,7 @@ def test_every_frame_has_an_answer_and_it_beats_the_rule_and_the_raw_predictions
         fused = poses(answers(DriftAware(), t_ns, vio, apr))
         ours.append((position_error(fused, truth).mean(), rotation_error_deg(fused, truth).mean()))
         raw.append((position_error(apr, truth).mean(), rotation_error_deg(apr, truth).mean()))
-        past = [(e.map_T_cam, p) for e, p in zip(answers(MobileARLoc(), t_ns, vio, apr), truth, strict=True)]
+        past = [(e.map_T_cam, p) for e, p in zip(answers(PaperRule(), t_ns, vio, apr), truth, strict=True)]
         kept, true = (np.array(x) for x in zip(*[pair for pair in past if pair[0] is not None], strict=True))
         rule.append((position_error(kept, true).mean(), rotation_error_deg(kept, true).mean()))
     ours, rule, raw = (np.mean(x, axis=0) for x in (ours, rule, raw))
@@ -59,21 +57,6 @@ def test_covariance_holds_the_errors() -> None:
     assert 0.9 <= np.mean(inside) <= 1.0  # 0.94
 
 
-def test_going_on_from_a_saved_state_changes_nothing_and_its_size_is_bounded() -> None:
-    t_ns, _, vio, apr = upright_walk(1, 60)
-    options = DriftAwareOptions(keyframes=20)
-    whole, localiser = answers(DriftAware(options), t_ns, vio, apr), DriftAware(options)
-    sizes = []
-    for i in range(60):
-        text = json.dumps(localiser.save())
-        sizes.append(len(text))
-        localiser = DriftAware(options)
-        localiser.restore(json.loads(text))
-        again = localiser.step(int(t_ns[i]), vio[i], apr[i])
-        assert np.array_equal(there(again.map_T_cam), there(whole[i].map_T_cam))
-    assert max(sizes[30:]) <= 1.05 * max(sizes[2:30])
-
-
 def test_a_long_way_without_predictions_is_as_uncertain_as_odometrys_yaw_makes_it() -> None:
     options = DriftAwareOptions()
     localiser, pose = DriftAware(options), np.eye(4)
@@ -85,7 +68,7 @@ def test_a_long_way_without_predictions_is_as_uncertain_as_odometrys_yaw_makes_i
     # A yaw that is a random walk over a way L takes its end aside by the root of q L^3 / 3; half of that on each axis.
     steps, metres = 60, 60.0
     expected = metres * options.drift_m**2 * 1.05 + yaw * metres**3 / 6
-    x, _, z, turned = localiser.save()["drift"]
+    x, _, z, turned = localiser._drift
     assert np.isclose(turned, steps * yaw) and np.allclose([x, z], expected, rtol=0.05)
 
 
@@ -193,7 +176,7 @@ def test_how_much_odometry_drifts_is_learnt() -> None:
         for name, odometry in (("usual", vio), ("bad", bad)):
             localiser = DriftAware()
             answers(localiser, t_ns, odometry, apr)
-            found[name].append(localiser.save()["drift_factors"][0])
+            found[name].append(localiser._quality.factors[0])
     assert np.median(found["usual"]) < 3 and np.median(found["bad"]) > 15
 
 
@@ -362,22 +345,32 @@ def test_a_structure_localiser_is_hardly_made_worse_and_the_bounds_hold() -> Non
         )
         inside.append(within_bounds(fused, truth, np.array([e.covariance for e in estimates])).mean(axis=0))
     (position_p95, position), (rotation_p95, rotation) = np.mean(ratios, axis=0)
-    assert position_p95 < 1.06 and position < 1.0, (position_p95, position)  # 1.03, 0.97
-    assert rotation_p95 < 1.03 and rotation < 1.0, (rotation_p95, rotation)  # 1.00, 0.97
-    assert (np.mean(inside, axis=0) > 0.85).all(), inside  # 0.90, 0.96
+    assert position_p95 < 1.0 and position < 0.95, (position_p95, position)  # 0.93, 0.88
+    assert rotation_p95 < 0.9 and rotation < 0.9, (rotation_p95, rotation)  # 0.87, 0.84
+    assert (np.mean(inside, axis=0) > 0.85).all(), inside  # 0.93, 0.97
 
 
 def test_a_localiser_that_is_better_than_odometrys_single_poses_is_not_made_worse() -> None:
-    """VIO and images of real captures disagree by up to 0.1 degrees from frame to frame."""
+    """ARKit's rotations jitter by 0.01 to 0.05 degrees an axis beside the ground truth of real captures."""
     for seed in range(3):
-        truth, apr, estimates = localised(seed, jitter_deg=0.1)
+        truth, apr, estimates = localised(seed, jitter_deg=0.05)
         fused, alone = (rotation_error_deg(x, truth).mean() for x in (poses(estimates), apr))
-        assert fused < 1.3 * alone, (fused, alone)
+        assert fused < 1.1 * alone, (fused, alone)
 
 
 def test_odometrys_vertical_is_that_of_predictions_that_know_it_better() -> None:
     truth, _, estimates = localised(0)
     assert rotation_error_deg(poses(estimates), truth)[40:].mean() < 0.025  # 0.05 with odometry's vertical
+
+
+def test_a_constant_lean_of_odometrys_vertical_is_learnt_from_good_predictions_without_covariances() -> None:
+    """0.23 degrees lie between ARKit's gravity and the map's vertical in a real capture."""
+    lean = Rotation.from_rotvec(np.radians([0.23, 0, 0])).as_matrix()
+    for seed in range(3):
+        t_ns, truth, vio, apr = upright_walk(seed, 80, noise_m=0.002, noise_deg=0.05, outliers=0.0)
+        vio = make_pose(lean, np.zeros(3)) @ vio
+        error = rotation_error_deg(poses(answers(DriftAware(), t_ns, vio, apr)), truth)
+        assert error[40:].mean() < 0.12, error[40:].mean()
 
 
 def test_one_setting_serves_errors_of_every_size() -> None:
@@ -456,31 +449,6 @@ def test_odometry_that_starts_anew_elsewhere_is_aligned_anew_and_one_that_comes_
         again.append(rotation_error_deg(anew, truth)[108:].mean())
         back.append(rotation_error_deg(same, truth)[105:115].mean() / rotation_error_deg(apr, truth)[105:115].mean())
     assert np.mean(again) < 5 and np.mean(back) < 0.6  # 1.8 degrees
-
-
-def test_what_was_learnt_beforehand_is_used() -> None:
-    """A regressor with the same bias along the same way, which held-out frames of two walks have shown."""
-    ratio = []
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        t_ns, truth, vio, _ = upright_walk(seed)
-        lean = np.sin(truth[:, :3, 3] @ rng.normal(0, 0.2, (3, 3)) + rng.uniform(0, 6, 3))
-        bias = 1.5 * lean * [1.0, 0.2, 1.0]
-
-        def predicted(rng: np.random.Generator = rng, truth: Array = truth, bias: Array = bias) -> Array:
-            shift = bias + rng.normal(0, 0.1, (200, 3))
-            turn = Rotation.from_rotvec(np.radians(1) * rng.normal(size=(200, 3))).as_matrix()
-            return make_pose(turn @ truth[:, :3, :3], truth[:, :3, 3] + shift)
-
-        held_out = np.concatenate([predicted(), predicted()])
-        error_map = ErrorMap.learnt(held_out, np.tile(truth, (2, 1, 1)), np.repeat([0, 1], 200))
-        apr = predicted()
-        with_map, without = (
-            position_error(poses(answers(localiser, t_ns, vio, apr)), truth).mean()
-            for localiser in (DriftAware(None, error_map), DriftAware())
-        )
-        ratio.append(with_map / without)
-    assert np.mean(ratio) < 0.5
 
 
 def test_a_regressor_that_takes_a_step_aside_for_a_turn_is_seen_through(monkeypatch: pytest.MonkeyPatch) -> None:

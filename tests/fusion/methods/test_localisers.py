@@ -1,5 +1,7 @@
 """What every causal method promises: a state that can be saved at any frame, odometry at 60 Hz, bounded memory."""
 
+import base64
+import io
 import json
 import pickle
 
@@ -10,6 +12,7 @@ from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.methods.localiser import Estimate, Localiser
 from groundwalk.geometry.poses import interpolate
 from groundwalk.scoring.errors import position_error
+from groundwalk.store import UserError
 from tests.fusion.random_walks import random_walk
 from tests.fusion.upright_walks import upright_walk
 
@@ -54,6 +57,18 @@ def test_a_state_restored_at_any_frame_goes_on_to_the_bit(name: str, seed: int) 
     assert stopped.save() == whole.save()
 
 
+def test_a_state_that_was_made_up_runs_no_code_and_is_refused() -> None:
+    localiser = made("drift_aware")
+    file = io.BytesIO()
+    np.save(file, np.array([print]), allow_pickle=True)
+    state = localiser.save()
+    with pytest.raises(ValueError, match="allow_pickle"):
+        localiser.restore(state | {"_drift": {"npy": base64.b64encode(file.getvalue()).decode()}})
+    for other in (made("window30").save(), state | {"_advance": "os.system"}, state | {"_keyframes": {}}):
+        with pytest.raises(UserError, match="another method"):
+            localiser.restore(other)
+
+
 @pytest.mark.parametrize("name", CAUSAL)
 def test_odometry_at_60_hz_with_a_prediction_a_second(name: str) -> None:
     """10,000 frames: answers stay as good as at one frame a second, and neither saved state nor object grows."""
@@ -66,12 +81,11 @@ def test_odometry_at_60_hz_with_a_prediction_a_second(name: str) -> None:
     for i, t in enumerate(fine_ns):
         estimates.append(localiser.step(int(t), odometry[i], None if i % RATE else apr[i // RATE]))
         if i in (FULL_AT.get(name, 3_000), 9_999):
-            sizes.append((len(json.dumps(localiser.save())), len(pickle.dumps(localiser))))
-    (saved, kept), (saved_later, kept_later) = sizes
+            sizes.append(len(json.dumps(localiser.save())))
     # Less than a byte for each of the 5,000 or more frames in between.
-    assert saved_later - saved < 1_000 and kept_later - kept < 1_000
+    assert sizes[1] - sizes[0] < 1_000
     answered = [e.map_T_cam is not None for e in estimates]
-    if name == "apr":
+    if name == "raw":
         assert answered == [i % RATE == 0 for i in range(10_000)]
         return
     # From the first frame that odometry carries each has an answer; checks of pairs wait for predictions that agree.
@@ -83,7 +97,7 @@ def test_odometry_at_60_hz_with_a_prediction_a_second(name: str) -> None:
         for part in zip(*((estimates[i * RATE], once[i]) for i in there), strict=True)
     )
     assert position_error(fine, truth[there]).mean() <= 1.1 * position_error(coarse, truth[there]).mean()
-    if name in ("mobilearloc", "last_good"):
+    if name in ("paper_rule", "last_good"):
         # What only looks at pairs of predictions isn't changed by frames without one.
         assert [e.status for e in estimates[::RATE]] == [e.status for e in once[: len(estimates[::RATE])]]
         assert np.allclose(fine, coarse, atol=1e-9)

@@ -10,7 +10,7 @@ class WrongCovariance:
         self.options = options
 
     def step(
-        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_apr: Array | None, gravity: Array | None = None
+        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None, gravity: Array | None = None
     ) -> Estimate:
         return Estimate(np.eye(4), Status.FUSED, covariance=np.eye(3))
 

@@ -23,12 +23,12 @@ class KeepFirst:
         self.alignments: list[Array] = []
 
     def step(
-        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_apr: Array | None, gravity: Array | None = None
+        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None, gravity: Array | None = None
     ) -> Estimate:
         if vio_T_cam is None:
             return Estimate(None, Status.NONE, reasons=("no_odometry",))
-        if map_T_cam_apr is not None and len(self.alignments) < self.options.predictions:
-            self.alignments.append(map_T_cam_apr @ inverse(vio_T_cam))
+        if map_T_cam_predicted is not None and len(self.alignments) < self.options.predictions:
+            self.alignments.append(map_T_cam_predicted @ inverse(vio_T_cam))
         if not self.alignments:
             return Estimate(None, Status.NONE, reasons=("no_prediction",))
         position, quaternion = tq_from_pose(np.array(self.alignments))
