@@ -1,16 +1,18 @@
 """Data sets with one file of poses over folders of images, each of which is a recording."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from groundwalk.capture_import.capture import Intrinsics
+from groundwalk.capture_import.capture import Intrinsics, RawFrame, Recording, Reject
 from groundwalk.capture_import.image_files import is_image
 from groundwalk.capture_import.media.images import BadImage, image_size
 from groundwalk.capture_import.parsing import BadRow, parse_json, read_text
-from groundwalk.store.choices import SessionSplit
+from groundwalk.store.choices import Clock, PoseSource, SessionSplit
 from groundwalk.store.simulated import EXPORT_NOTE
 from groundwalk.store.text import natural_order
 
+GUESS_SD = 0.5
+"""Of a guessed focal length, as a fraction: phones' are 0.7 to 0.9 of the longer side, other cameras' 1 to 3."""
 # How far below a data set's folder of images a recording's may lie.
 _MAX_DEPTH = 3
 
@@ -27,9 +29,27 @@ def size_of(image: Path) -> tuple[int, int]:
 
 
 def guessed_intrinsics(width: int, height: int, focal_sd: float = 0.0) -> Intrinsics:
-    """Intrinsics of an image of this size whose log states none: of the focal length that COLMAP assumes, too."""
+    """Intrinsics of an image of this size that nothing states: of the focal length that COLMAP assumes, too."""
     f = 1.2 * max(width, height)
     return Intrinsics(f, f, width / 2, height / 2, width, height, focal_sd=focal_sd)
+
+
+def images_alone(
+    clock: Clock, folder: Path, frames: Sequence[RawFrame], rejects: Sequence[Reject], notes: Sequence[str]
+) -> Recording:
+    """A recording of images without poses, and so without scale, vertical or intrinsics that anything states."""
+    return Recording(
+        "unknown",
+        clock,
+        folder,
+        frames,
+        rejects,
+        pose_source=PoseSource.NONE,
+        is_gravity_aligned=False,
+        is_metric=False,
+        has_intrinsics=False,
+        notes=notes,
+    )
 
 
 def data_set_of(path: Path, images_of: Callable[[Path], Path | None]) -> Path | None:

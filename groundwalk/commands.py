@@ -1,5 +1,6 @@
 """The commands that aren't one package's: `judge`, `run`, `scenes` and `docs`."""
 
+import os
 import re
 import shutil
 import tempfile
@@ -62,10 +63,12 @@ def run(
 
 @app.command()
 def judge(
-    folder: Annotated[Path, typer.Argument(help="A folder of phone captures, or one capture.")],
+    folder: Annotated[
+        Path, typer.Argument(help="A folder of phone captures, or one capture: a folder, a video, an archive.")
+    ],
     out: Annotated[
         Path | None,
-        typer.Option(help="The folder for page, verdict and all between; judged/<folder's name> unless named."),
+        typer.Option(help="The folder for page, verdict and all between; judged/<capture's name> unless named."),
     ] = None,
 ) -> None:
     """Say which frames of a capture can be trusted to what, and how far VIO is off: page.html and verdict.json.
@@ -78,21 +81,26 @@ def judge(
     says what is missing.
     """
     folder = folder.expanduser().resolve()
-    if not folder.is_dir():
-        raise UserError("there is no such folder", where=folder, expected="a folder of phone captures")
-    out = (out or Path("judged") / folder.name).absolute()
-    name = re.sub(r"[^A-Za-z0-9_-]+", "-", folder.name).strip("-_") or "capture"
+    if not folder.exists():
+        raise UserError("there is no such capture", where=folder, expected="a folder of phone captures, or one of them")
+    title = folder.stem if folder.is_file() else folder.name
+    out = (out or Path("judged") / title).absolute()
+    name = re.sub(r"[^A-Za-z0-9_-]+", "-", title).strip("-_") or "capture"
     root = DataRoot(out / "data")
     if (SHIPPED_DATA / "scenes" / f"{name}.toml").exists():  # its settings are another place's
         name += "-capture"
     progress.console.print(f"judging {folder}; all that is made lies below {out}")
     report, unread = root.run(_JUDGED_IN, name, "report"), partial_folder(root.run(_JUDGED_IN, name, "import"))
     try:
-        _refuse_empty(folder)
+        if folder.is_dir():
+            _refuse_empty(folder)
     except UserError as error:
-        _write_unreadable(out, folder.name, {"what": error.what, **error.details})
+        _write_unreadable(out, title, {"what": error.what, **error.details})
         raise
-    link_captures(name, folder, root.root)
+    if folder.is_dir():
+        link_captures(name, folder, root.root)
+    else:
+        _place(folder, root.captures(name))
     try:
         run_steps(steps(root, _JUDGED_IN, name, "align"), _JUDGED_IN, root)
     except Reported as refused:
@@ -100,7 +108,7 @@ def judge(
             raise SystemExit(refused.code) from None
     except SystemExit as stopped:
         if stopped.code == USER_ERROR and (why := read_json(unread / STOPPED)):
-            _write_unreadable(out, folder.name, why)
+            _write_unreadable(out, title, why)
         raise
     for file in ("page.html", VERDICT):
         shutil.copyfile(report / file, out / file)
@@ -188,6 +196,16 @@ def _write_unreadable(out: Path, name: str, stopped: dict[str, Any]) -> None:
     write_unreadable(out, name, {key: str(text) for key, text in stopped.items() if text is not None})
     for file in ("page.html", VERDICT):
         progress.stdout.print(str(out / file))
+
+
+def _place(file: Path, captures: Path) -> None:
+    """The file in a folder of its own, which import reads: a second name of it, or a copy on another file system."""
+    captures.mkdir(parents=True, exist_ok=True)
+    (captures / file.name).unlink(missing_ok=True)
+    try:
+        os.link(file, captures / file.name)
+    except OSError:
+        shutil.copyfile(file, captures / file.name)
 
 
 def _refuse_empty(folder: Path) -> None:

@@ -82,7 +82,13 @@ def report_models(r: StageRun[SfmSettings], best: Attempt, held_out: pd.DataFram
 def report_excluded_pairs(r: StageRun[SfmSettings], matched: pd.DataFrame, vio: Odometry) -> None:
     """A line on the pairs that VIO excludes; and one on those of frames without VIO, whose reference poses say where
     gravity is."""
-    excluded = status_of(matched) == PairStatus.INCONSISTENT_WITH_VIO
+    status = status_of(matched)
+    if count := np.count_nonzero(status == PairStatus.INCONSISTENT_WITH_NEIGHBOURS):
+        r.say(
+            f"{count} verified pairs excluded, as of look-alike places: in the map that neighbouring images make their "
+            f"points are apart (pairs.parquet, status {PairStatus.INCONSISTENT_WITH_NEIGHBOURS})"
+        )
+    excluded = status == PairStatus.INCONSISTENT_WITH_VIO
     by_vio = vio.posed[rows_of(matched)].any(axis=1)
     for what, rows in (("VIO", excluded & by_vio), ("gravity by the reference poses", excluded & ~by_vio)):
         if rows.any():

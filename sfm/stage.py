@@ -24,6 +24,7 @@ from groundwalk.sfm.pairs.matched import are_verified, checkpoint, rows_of
 from groundwalk.sfm.pairs.odometry import motions_over
 from groundwalk.sfm.pairs.selection import pairs_by_images, pairs_within_sessions
 from groundwalk.sfm.pairs.verification import (
+    compared_with_neighbours,
     compared_with_vio,
     match_proposals,
     with_floor_matches,
@@ -53,7 +54,7 @@ from groundwalk.sfm.tables import (
 )
 from groundwalk.store import StageRun
 from groundwalk.store.child import Task, preload
-from groundwalk.store.choices import AttemptName
+from groundwalk.store.choices import AttemptName, PoseSource
 from groundwalk.store.tables import with_cameras
 
 _IN_CHILDREN = (
@@ -61,6 +62,7 @@ _IN_CHILDREN = (
     "groundwalk.sfm.cameras.focal_lengths",
     "groundwalk.sfm.mapping.build",
     "groundwalk.sfm.pairs.features",
+    "groundwalk.sfm.pairs.neighbours",
 )
 # VIO is surer than SfM where SfM's motion over so much of its path is less certain (align's check of uncertain frames).
 _MOTION_M = 5.0
@@ -73,6 +75,8 @@ def run(r: StageRun[SfmSettings]) -> None:
     frames, sessions = r.read("import", "frames"), r.read("import", "sessions")
     work = linked_images(r, frames)
     frames = with_focal_lengths(r, frames, work)
+    pose_source = frames["session_id"].map(sessions.set_index("session_id")["pose_source"])
+    is_alone = (pose_source == PoseSource.NONE).to_numpy(bool)
     vio = odometry_of(frames, r.read("import", "jumps"), sessions)
     cameras = calibrated_cameras(r, frames, sessions, vio, work)
     frames = with_lenses(frames, cameras.calibration)
@@ -98,8 +102,12 @@ def run(r: StageRun[SfmSettings]) -> None:
             floor = checkpoint(
                 steps / "floor.parquet", lambda: with_floor_matches(compared, source, vio, database, work, r.say)
             )
-            matched = checkpoint(
+            guided = checkpoint(
                 steps / "guided.parquet", lambda: with_guided_matches(floor, compared, vio, database, work)
+            )
+            matched = checkpoint(
+                steps / "neighbours.parquet",
+                lambda: compared_with_neighbours(guided, is_alone, vio, source, database, work, r.seed),
             )
         folder = work.scratch / f"mapping_{number}"
         with r.step("mapping"):

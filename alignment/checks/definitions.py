@@ -49,7 +49,7 @@ DEFINITIONS = {
     CheckName.MAP_SCALE: CheckDefinition(
         estimate="standard error of the metric scale",
         unit=CheckUnit.FRACTION,
-        evidence="a longer walk, a second session or a ruler",
+        evidence="a ruler in view (docs/how-to/ruler.md) or, with odometry, a longer walk or a second session",
     ),
     CheckName.MAP_VERTICAL: CheckDefinition(
         estimate="standard error of the vertical",

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundwalk.capture_import.capture import Image, Session
+from groundwalk.store.hints import setting_of
 
 # The median speed of a runner; walks with a phone are below 2 m/s.
 MAX_WALK_M_S = 3.0
@@ -28,6 +29,7 @@ _MIN_SHARPNESS = 0.35
 # And faster, most of the time or at least now and then.
 _MIN_SPEED_M_S = 0.01
 _USUAL_SPEED_M_S = 0.03
+_AS_PHOTOS = 'format = "photos"'
 _UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3048, "kilometres": 1e3}
 
 
@@ -118,7 +120,8 @@ def _of_images(sessions: Sequence[Session], poses: np.ndarray) -> Iterator[Plaus
         yield PlausibilityFault(
             f"all {len(xyz)} poses are equal while {different} images differ: odometry didn't run, as in captures by "
             "the front camera (Face ID)",
-            remedy="record with the camera at the back and tracking on, or give the images poses from elsewhere",
+            remedy="record with the camera at the back and tracking on; or read its images alone, without poses: "
+            f"{setting_of('import', _AS_PHOTOS)}, or inspect --format photos",
         )
     elif not sessions[0].recording.is_metric:
         if extent_m <= _ROUNDING * float(np.abs(xyz).max()):

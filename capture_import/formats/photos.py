@@ -21,22 +21,21 @@ import PIL.ExifTags
 import PIL.Image
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
-from groundwalk.capture_import.data_sets import guessed_intrinsics
+from groundwalk.capture_import.data_sets import GUESS_SD, guessed_intrinsics, images_alone
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import images_in
 from groundwalk.capture_import.media.images import BadImage, image_size
 from groundwalk.capture_import.media.video import is_video
 from groundwalk.capture_import.parsing import BadRow, read_rows, seconds_to_ns
-from groundwalk.store.choices import Clock, PoseSource
+from groundwalk.store.choices import Clock
 from groundwalk.store.text import name_list
 
 _FOLDERS = ("images", "input", "frames", "photos")
 _MIN_PHOTOS = 3
 # EXIF's orientations that are quarter turns clockwise; the others are mirrored.
 _QUARTERS = {1: 0, 6: 1, 3: 2, 8: 3}
-# Of a focal length by EXIF: whole millimetres of 24 to 28, and some makers mean the width, not the diagonal. Without
-# EXIF, phones' are 0.7 to 0.9 of the longer side, other cameras' 1 to 3, of which COLMAP assumes 1.2.
-_EXIF_SD, GUESS_SD = 0.05, 0.5
+# Of a focal length by EXIF: whole millimetres of 24 to 28, and some makers mean the width, not the diagonal.
+_EXIF_SD = 0.05
 _FILM_DIAGONAL_MM = math.hypot(36, 24)
 _MM_OF_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}
 _MAX_ASPECT = 2.4  # of a camera's picture; panoramas are wider
@@ -71,18 +70,7 @@ def read(path: Path, limits: Limits) -> Recording:
     photos = sorted(read, key=lambda photo: photo.date) if dated else read
     rows = [(photo.file.name, photo) for photo in photos]
     frames, bad = read_rows(rows, lambda index, source, photo: _row(index, source, photo, has_makers))
-    return Recording(
-        "unknown",
-        Clock.NAME_ORDER,
-        path,
-        frames,
-        [*rejects, *bad],
-        pose_source=PoseSource.NONE,
-        is_gravity_aligned=False,
-        is_metric=False,
-        has_intrinsics=False,
-        notes=_notes(path, folder, frames, dated),
-    )
+    return images_alone(Clock.NAME_ORDER, path, frames, [*rejects, *bad], _notes(path, folder, frames, dated))
 
 
 def _images_folder(path: Path) -> Path:

@@ -7,11 +7,10 @@ rate, each with its time; nothing says how wide the lens is, and stabilisation c
 from pathlib import Path
 
 from groundwalk.capture_import.capture import Limits, RawFrame, Recording, VideoFrame
-from groundwalk.capture_import.data_sets import guessed_intrinsics
+from groundwalk.capture_import.data_sets import GUESS_SD, guessed_intrinsics, images_alone
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.formats.photos import GUESS_SD
 from groundwalk.capture_import.media.video import frame_times, is_video, stored_image
-from groundwalk.store.choices import Clock, PoseSource
+from groundwalk.store.choices import Clock
 
 
 def read(path: Path, limits: Limits) -> Recording:
@@ -34,17 +33,7 @@ def read(path: Path, limits: Limits) -> Recording:
     notes = [f"{len(frames)} frames without poses, focal length unknown"]
     if stored.is_hdr:
         notes.append("the video is HDR: its images are pale, as no tone mapping is applied")
-    return Recording(
-        "unknown",
-        Clock.VIDEO,
-        path.parent,
-        frames,
-        pose_source=PoseSource.NONE,
-        is_gravity_aligned=False,
-        is_metric=False,
-        has_intrinsics=False,
-        notes=notes,
-    )
+    return images_alone(Clock.VIDEO, path.parent, frames, [], notes)
 
 
 FORMAT = Format(

@@ -121,15 +121,17 @@ class PairStatus(StrEnum):
     VERIFIED = "verified"
     TOO_FEW_INLIERS = "too_few_inliers"
     INCONSISTENT_WITH_VIO = "inconsistent_with_vio"
+    INCONSISTENT_WITH_NEIGHBOURS = "inconsistent_with_neighbours"
 
 
 class PairInconsistency(StrEnum):
-    """What of a pair's relative pose is inconsistent with VIO."""
+    """What of a pair is inconsistent with VIO or, without it, with the map that neighbouring images make."""
 
     NONE = ""
     ROTATION = "rotation"
     GRAVITY = "gravity"
     DIRECTION = "direction of motion"
+    NEIGHBOURS = "points in the map of neighbours"
 
 
 class AttemptName(StrEnum):

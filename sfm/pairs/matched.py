@@ -55,9 +55,10 @@ def are_weak(matched: pd.DataFrame) -> Booleans:
 
 def status_of(matched: pd.DataFrame) -> NDArray[np.object_]:
     """(P,) values of PairStatus."""
-    is_enough = (matched["inliers"] >= MIN_INLIERS).to_numpy(bool)
-    refused = np.where(is_enough, PairStatus.INCONSISTENT_WITH_VIO, PairStatus.TOO_FEW_INLIERS)
-    return np.where(are_verified(matched), PairStatus.VERIFIED, refused).astype(object)
+    is_few, reason = (matched["inliers"] < MIN_INLIERS).to_numpy(bool), matched["reason"].to_numpy()
+    conditions = [is_few, reason == PairInconsistency.NONE, reason == PairInconsistency.NEIGHBOURS]
+    statuses = [PairStatus.TOO_FEW_INLIERS, PairStatus.VERIFIED, PairStatus.INCONSISTENT_WITH_NEIGHBOURS]
+    return np.select(conditions, statuses, PairStatus.INCONSISTENT_WITH_VIO).astype(object)
 
 
 def checkpoint(path: Path, make: Callable[[], pd.DataFrame]) -> pd.DataFrame:

@@ -5,17 +5,21 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from groundwalk.consistency.motions import MISTAKE_ADVICE, MISTAKE_REASONS, compare_motions
 from groundwalk.geometry.poses import relative
 from groundwalk.sfm.database import has_results, read_pair_results
+from groundwalk.sfm.mapping.held_out import VerifiedPairs
 from groundwalk.sfm.pairs.candidates import broken_links, first_origins
 from groundwalk.sfm.pairs.floor import FloorSource, match_floor
 from groundwalk.sfm.pairs.matched import LINK_INLIERS, MIN_INLIERS, are_verified, are_weak, matched_pairs, rows_of
 from groundwalk.sfm.pairs.matching import guide_pairs, match_pairs
+from groundwalk.sfm.pairs.neighbours import NEXT, contradicted_pairs
 from groundwalk.sfm.pairs.odometry import Odometry
 from groundwalk.sfm.pairs.selection import Proposals, pairs_of_chains
 from groundwalk.sfm.pairs.two_views import compare_pairs
+from groundwalk.sfm.plugins import MappingInput
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.sfm.workspace import Workspace
 from groundwalk.store import UserError
@@ -71,6 +75,34 @@ def compared_with_vio(matched: pd.DataFrame, vio: Odometry, database: Path) -> p
             )
     for column in compared:
         matched.loc[rows, column] = compared[column].to_numpy()
+    return matched
+
+
+def compared_with_neighbours(
+    matched: pd.DataFrame,
+    is_alone_N: NDArray[np.bool_],
+    vio: Odometry,
+    source: FloorSource,
+    database: Path,
+    work: Workspace,
+    seed: int,
+) -> pd.DataFrame:
+    """Verified pairs of images that are alone, without any pose, and far apart in the order of their recording,
+    compared with the map that neighbours make."""
+    order = np.lexsort((vio.t_ns, vio.recording.astype(str)))
+    is_next_recording = vio.recording[order[1:]] != vio.recording[order[:-1]]
+    place_N = np.empty(len(order), np.int64)
+    place_N[order] = np.arange(len(order)) + (NEXT + 1) * np.cumsum(np.concatenate([[False], is_next_recording]))
+    a, b = rows_of(matched).T
+    rows = np.flatnonzero(are_verified(matched) & is_alone_N[a] & (vio.recording[a] == vio.recording[b]))
+    if not (np.abs(place_N[a[rows]] - place_N[b[rows]]) > NEXT).any():
+        return matched
+    pairs = VerifiedPairs(
+        frames=source.frames, pairs=rows_of(matched)[rows], matched=database, features=source.features
+    )
+    arguments = (pairs, place_N, MappingInput(work.scratch / "neighbours.db", work.images, seed))
+    is_wrong = work.in_child("mapping neighbours", Task(contradicted_pairs, arguments, int(is_alone_N.sum())))
+    matched.loc[matched.index[rows[is_wrong]], "reason"] = PairInconsistency.NEIGHBOURS
     return matched
 
 

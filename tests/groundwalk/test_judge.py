@@ -71,6 +71,23 @@ def test_a_shipped_scene_takes_no_part_and_what_stops_a_stage_keeps_its_status(
     assert {step.scene for step in asked} == {"Church-capture"} and asked[0].command == "import"
 
 
+def test_a_single_file_is_judged_in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    video, roots = tmp_path / "my walk.mp4", list[DataRoot]()
+    (tmp_path / "another.mp4").write_bytes(b"another")
+
+    def run_steps(steps: list[Step], profile: str, data: DataRoot) -> None:
+        roots.append(data)
+        raise SystemExit(143)
+
+    monkeypatch.setattr(commands, "run_steps", run_steps)
+    for content in (b"first", b"second"):
+        video.unlink(missing_ok=True)
+        video.write_bytes(content)
+        assert judge(video, "--out", tmp_path / "out") == 143
+        (copy,) = roots[-1].captures("my-walk").iterdir()
+        assert (copy.name, copy.read_bytes()) == ("my walk.mp4", content) and video.read_bytes() == content
+
+
 def test_an_empty_folder_and_none_are_said_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     out = tmp_path / "out"
@@ -78,7 +95,7 @@ def test_an_empty_folder_and_none_are_said_in_a_sentence(tmp_path: Path) -> None
         judge(tmp_path / "empty", "--out", out)
     assert "the folder is empty" in (out / "page.html").read_text() and not (out / "data").exists()
     assert json.loads((out / "verdict.json").read_text())["verdict"] == "unreadable"
-    with pytest.raises(UserError, match="there is no such folder"):
+    with pytest.raises(UserError, match="there is no such capture"):
         judge(tmp_path / "nowhere")
 
 

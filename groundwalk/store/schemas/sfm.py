@@ -207,7 +207,12 @@ TABLES = [
             Column("matches", "int64", "matched features"),
             Column("inliers", "int64", "matches that fit one relative pose; of weak pairs those of guided matching"),
             Column("status", "string", "whether it goes into mapping", choices=PairStatus),
-            Column("reason", "string", "what is inconsistent with VIO; empty: nothing", choices=PairInconsistency),
+            Column(
+                "reason",
+                "string",
+                "what is inconsistent with VIO or neighbours; empty: nothing",
+                choices=PairInconsistency,
+            ),
             Column("rotation_deg", "float64", "angle between the rotations by images and by VIO", "deg", "", True),
             Column(
                 "rotation_limit_deg", "float64", "limit of rotation_deg: VIO's drift over the path", "deg", "", True
@@ -218,7 +223,7 @@ TABLES = [
                 "gravity_deg", "float64", "angle between gravity in a and in b, turned by the images", "deg", "", True
             ),
         ],
-        version="2.0",
+        version="2.1",
     ),
     TableSchema(
         "sfm",
