@@ -3,6 +3,7 @@
 import functools
 import json
 import math
+import re
 import stat
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -182,6 +183,15 @@ def split_numbers(line: str, count: int | None = None, separator: str | None = N
     if count is not None and len(values) != count:
         raise BadRow(f"row has {len(values)} numbers, not {count}")
     return values
+
+
+def yaml_numbers(text: str, key: str, count: int | None = None) -> list[float]:
+    """The numbers under a key of a text in YAML, whose list may lie in `data` below it, as in OpenCV's dialect that no
+    reader of YAML knows; BadRow where there are none, or not `count`."""
+    found = re.search(rf"^{key}:\s*(?:(?:[^][\d\s][^][]*)?\[([^]]*)]|(\S+))", text, re.M)
+    if found is None:
+        raise BadRow(f"{key} is missing")
+    return split_numbers(found[1] if found[2] is None else found[2], count, separator=",")
 
 
 def to_number(value: Any, name: str) -> float:

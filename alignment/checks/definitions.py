@@ -44,7 +44,7 @@ DEFINITIONS = {
     CheckName.COMPONENT_SCALE: CheckDefinition(
         estimate="metric scale of the SfM model",
         unit=CheckUnit.FRACTION,
-        remedy="capture it again with a longer walk",
+        remedy="capture it again: with odometry a longer walk, without it more images between this place and the rest",
     ),
     CheckName.MAP_SCALE: CheckDefinition(
         estimate="standard error of the metric scale",

@@ -52,6 +52,7 @@ from groundwalk.capture_import.parsing import (
 from groundwalk.geometry.poses import Array, inverse, rigidity_error
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, PoseSource
+from groundwalk.store.files import leads_outside
 
 _TEST_FILE = "transforms_test.json"
 _FILES = ("transforms.json", "transforms_train.json", "transforms_val.json", _TEST_FILE)
@@ -139,9 +140,14 @@ def _image(data_set: Path, row: Any) -> Path:
     if not isinstance(row, dict):
         raise BadRow("frame is no object")
     name = row.get("file_path")
-    image = inside(data_set, name)
-    if not image.exists() and isinstance(name, str):
-        image = inside(data_set, name.replace("\\", "/"))  # as Windows parts names
+    # As Windows parts names, and of a path on another machine the end that is here.
+    parts = name.replace("\\", "/").split("/") if isinstance(name, str) else []
+    ends = [end for n in range(len(parts)) if (end := "/".join(parts[n:])) and not leads_outside(end)]
+    images = (_with_suffix(data_set / end) for end in ends)
+    return next((image for image in images if image.is_file()), None) or _with_suffix(inside(data_set, name))
+
+
+def _with_suffix(image: Path) -> Path:
     if is_image(image):
         return image
     names = [image.name + end for suffix in SUFFIXES for end in (suffix, suffix.upper())]
@@ -150,7 +156,9 @@ def _image(data_set: Path, row: Any) -> Path:
 
 
 def _pose(row: dict[str, Any]) -> Array:
-    pose = row_major_pose(numbers(row, "transform_matrix", 16))
+    matrix = row.get("transform_matrix")
+    count = 12 if isinstance(matrix, list) and len(matrix) == 3 else 16  # some leave the last row out
+    pose = row_major_pose(numbers(row, "transform_matrix", count))
     # Beyond what a pose may be, a product with it would only warn; import rejects it by its own numbers.
     if not (np.abs(pose) < 1e100).all():
         raise BadRow("transform_matrix has a value that isn't finite or is too large")

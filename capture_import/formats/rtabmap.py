@@ -11,7 +11,6 @@ matters:
 - `<name>_depth/` isn't read: it is in millimetres, but of another size and its own camera.
 """
 
-import re
 from pathlib import Path
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
@@ -25,11 +24,11 @@ from groundwalk.capture_import.parsing import (
     read_text,
     seconds_to_ns,
     split_numbers,
+    yaml_numbers,
 )
 from groundwalk.store.choices import Clock, PoseSource
 
 _POSES = "_camera_poses.txt"
-_DATA = r":[^\[\]]*data:\s*\[([^\]]*)\]"
 
 
 def read(path: Path, limits: Limits) -> Recording:
@@ -65,20 +64,13 @@ def read(path: Path, limits: Limits) -> Recording:
 
 
 def _camera(file: Path) -> Intrinsics:
-    """Of a file of OpenCV's YAML, whose tags no other reader of YAML knows."""
     text = read_text(file)
 
-    def numbers(key: str, form: str) -> list[float]:
-        if (match := re.search(key + form, text)) is None:
-            raise BadRow(f"{file.name} has no {key}")
-        return split_numbers(match[1], separator=",")
-
-    matrix = numbers("camera_matrix", _DATA)
-    (width,), (height,) = numbers("image_width", r":\s*(\S+)"), numbers("image_height", r":\s*(\S+)")
-    distortion = numbers("distortion_coefficients", _DATA)
-    if len(matrix) != 9 or len(distortion) < 4:
-        raise BadRow(f"{file.name} has {len(matrix)} and {len(distortion)} numbers, not 9 and 4 or more")
-    fx, _, cx, _, fy, cy, *_ = matrix
+    fx, _, cx, _, fy, cy, *_ = yaml_numbers(text, "camera_matrix", 9)
+    (width,), (height,) = (yaml_numbers(text, f"image_{side}", 1) for side in ("width", "height"))
+    distortion = yaml_numbers(text, "distortion_coefficients")
+    if len(distortion) < 4:
+        raise BadRow(f"{file.name} has {len(distortion)} distortion_coefficients, not 4 or more")
     if not (0 < width < 1e6 and 0 < height < 1e6):
         raise BadRow(f"{file.name}: image_width or image_height is no size")
     return Intrinsics(fx, fy, cx, cy, int(width), int(height), tuple(distortion) if any(distortion) else ())

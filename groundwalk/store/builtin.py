@@ -21,6 +21,7 @@ BUILTIN: dict[str, dict[str, str]] = {
             "arcore_logger",
             "invisible_map",
             "arkit_scenes",
+            "euroc",
             "tum",
             "rtabmap",
             "seven_scenes",

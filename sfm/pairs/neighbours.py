@@ -8,6 +8,7 @@ Images that are farther apart in the order have to see the same points of that m
 import itertools
 import shutil
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -90,5 +91,7 @@ def _between(same: list[tuple[Array, Array]], limits: Array, seed: int) -> Array
     the same; NaN where there is none."""
     options = pycolmap.RANSACOptions()
     options.max_error, options.random_seed = max(float(np.median(limits)), 1e-9), seed
-    found = pycolmap.estimate_sim3d_robust(*(np.concatenate(side) for side in zip(*same, strict=True)), options)
+    points = [np.concatenate(side) for side in zip(*same, strict=True)]
+    estimate: Any = pycolmap.estimate_sim3d_robust  # gives a dictionary, which its stubs don't say
+    found = estimate(*points, options)
     return np.full((3, 4), np.nan) if found is None else np.asarray(found["tgt_from_src"].matrix())

@@ -310,6 +310,26 @@ def write_tum(folder: Path, walk: Walk) -> None:
     _write(folder, files)
 
 
+def write_euroc(folder: Path, walk: Walk) -> None:
+    """EuRoC: poses of a body, world +z up, with one camera for all images."""
+    body_T_cam = make_pose(Rotation.from_euler("xyz", [90, 20, 5], degrees=True).as_matrix(), [0.1, -0.2, 0.3])
+    zup_T_yup, rows = make_pose(Rotation.from_euler("x", 90, degrees=True).as_matrix(), [0.0, 0.0, 0.0]), []
+    for t_ns, vio_T_cam in zip(walk.t_ns, walk.vio_T_cam, strict=True):
+        t, (qx, qy, qz, qw) = tq_from_pose(zup_T_yup @ vio_T_cam @ inverse(body_T_cam))
+        rows.append(",".join([str(t_ns), *map(repr, [*t.tolist(), float(qw), float(qx), float(qy), float(qz)])]))
+    seen = np.flatnonzero(walk.has_image).tolist()
+    camera = (
+        f"sensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: {body_T_cam.ravel().tolist()}\nrate_hz: 20\n"
+        f"resolution: {list(walk.size)}\nintrinsics: {walk.camera[0].tolist()} #fu, fv, cu, cv\n"
+        "distortion_model: radial-tangential\ndistortion_coefficients: [0.0, 0.0, 0.0, 0.0]\n"
+    )
+    files = {f"mav0/cam0/data/{walk.t_ns[i]}.png": walk.png(i) for i in seen}
+    files["mav0/cam0/data.csv"] = ("#t,file\n" + "".join(f"{walk.t_ns[i]},{walk.t_ns[i]}.png\n" for i in seen)).encode()
+    files["mav0/cam0/sensor.yaml"] = camera.encode()
+    files["mav0/state_groundtruth_estimate0/data.csv"] = "\n".join(["#t,p,q", *rows]).encode()
+    _write(folder, files)
+
+
 def write_rtabmap(folder: Path, walk: Walk) -> None:
     """RTAB-Map's export, of frames with an image."""
     files = {}
@@ -422,6 +442,7 @@ WRITERS = {
     "invisible_map": Written(write_invisible_map, images=False),
     "arkit_scenes": Written(write_arkit_scenes),
     "tum": Written(write_tum, camera=False),
+    "euroc": Written(write_euroc, camera=False),
     "rtabmap": Written(write_rtabmap),
     "seven_scenes": Written(write_seven_scenes, camera=False, clock=False),
     "cambridge": Written(write_cambridge, camera=False, clock=False),

@@ -279,3 +279,19 @@ def test_rows_of_nerfstudio_without_an_image_are_rejects(tmp_path: Path) -> None
     file.write_text(json.dumps(content))
     (raw,) = read_all(tmp_path / "place")
     assert [r.reason.split(":")[0] for r in raw.rejects] == ["names no image"] * 2
+
+
+@pytest.mark.parametrize("name", ["/home/me/images/{:04d}.jpg", "../other/images/{:04d}.jpg", "images\\{:04d}"])
+def test_images_of_paths_elsewhere_are_found_here_and_a_last_row_may_be_left_out(tmp_path: Path, name: str) -> None:
+    write_nerfstudio(tmp_path / "walk", walk := make_walk(4))
+    file = tmp_path / "walk" / "transforms.json"
+    content = json.loads(file.read_text())
+    for row in content["frames"]:
+        written = tmp_path / "walk" / row["file_path"]
+        image = written.rename(written.with_name(f"{int(written.stem):04d}.jpg"))
+        row.update(file_path=name.format(int(image.stem)), transform_matrix=row["transform_matrix"][:3])
+    file.write_text(json.dumps(content))
+    (raw,) = read_all(tmp_path)
+    assert len(raw.frames) == walk.has_image.sum() and not raw.rejects
+    poses = np.array([frame.vio_T_cam for frame in raw.frames])
+    np.testing.assert_allclose(poses, walk.vio_T_cam[walk.has_image], atol=1e-6)

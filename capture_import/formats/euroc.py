@@ -1,0 +1,83 @@
+"""EuRoC's layout, which TUM-VI and others share: `mav0/cam0` with `mav0/state_groundtruth_estimate0`.
+
+Documented at https://projects.asl.ethz.ch/datasets/doku.php?id=kmavvisualinertialdatasets. What matters:
+
+- `cam0/data.csv`: time in nanoseconds and a file of `cam0/data/`; `cam1` isn't read;
+- `state_groundtruth_estimate0/data.csv` (TUM-VI: `mocap0`): time, position and quaternion (w first) of the body in a
+  world whose +z is up; `T_BS` of `cam0/sensor.yaml` is the camera in the body, with OpenCV's axes;
+- `sensor.yaml`: resolution, intrinsics (fx fy cx cy) and distortion_coefficients (OpenCV's k1 k2 p1 p2, or, where
+  distortion_model is equidistant, its fisheye model's).
+
+The poses are a reference, not VIO.
+"""
+
+import re
+from pathlib import Path
+
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.joining import join_by_time
+from groundwalk.capture_import.parsing import (
+    YUP_T_ZUP,
+    BadRow,
+    fisheye_intrinsics,
+    inside,
+    lines_of,
+    quaternion_pose,
+    read_rows,
+    read_text,
+    row_major_pose,
+    seconds_to_ns,
+    split_numbers,
+    to_number,
+    yaml_numbers,
+)
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock, PoseSource
+
+_TRUTH = ("mav0/state_groundtruth_estimate0/data.csv", "mav0/mocap0/data.csv")
+
+
+def read(path: Path, limits: Limits) -> Recording:
+    """Read both lists; poses are interpolated where an image lies between two rows."""
+    camera = path / "mav0" / "cam0"
+    try:
+        text = read_text(camera / "sensor.yaml")
+        body_T_cam = row_major_pose(yaml_numbers(text, "T_BS", 16))
+        intrinsics = _intrinsics(text)
+    except BadRow as error:
+        raise UserError("the camera can't be read", where=camera / "sensor.yaml", found=error) from None
+
+    def read_pose(number: int, source: str, line: str) -> RawFrame:
+        t_ns, x, y, z, qw, qx, qy, qz, *_ = (*split_numbers(line, separator=","), *[float("nan")] * 8)
+        world_T_body = quaternion_pose([x, y, z], [qx, qy, qz, qw])
+        return RawFrame(number, source, seconds_to_ns(t_ns * 1e-9), YUP_T_ZUP @ world_T_body @ body_T_cam)
+
+    def read_image(number: int, source: str, line: str) -> RawFrame:
+        t_ns, _, name = line.partition(",")
+        image = ImageFile(inside(camera / "data", name.strip()))
+        return RawFrame(number, source, seconds_to_ns(to_number(t_ns, "time") * 1e-9), None, image, intrinsics)
+
+    truth = next(path / name for name in _TRUTH if (path / name).is_file())
+    poses, rejects = read_rows(lines_of(truth, limits), read_pose)
+    images, more = read_rows(lines_of(camera / "data.csv", limits), read_image)
+    rows = join_by_time(poses, images)
+    return Recording("unknown", Clock.UNIX, path, rows, [*rejects, *more], pose_source=PoseSource.REFERENCE)
+
+
+def _intrinsics(text: str) -> Intrinsics:
+    fx, fy, cx, cy = yaml_numbers(text, "intrinsics", 4)
+    width, height = (int(size) for size in yaml_numbers(text, "resolution", 2))
+    distortion = tuple(yaml_numbers(text, "distortion_coefficients", 4))
+    if re.search(r"^distortion_model:\s*equidistant", text, re.M):
+        return fisheye_intrinsics((fx, fy, cx, cy), width, height, distortion)
+    return Intrinsics(fx, fy, cx, cy, width, height, distortion)
+
+
+FORMAT = Format(
+    id="euroc",
+    label="EuRoC",
+    meaning="images, reference poses",
+    files=("mav0/cam0/data.csv", "|".join(_TRUTH)),
+    read=read,
+)
