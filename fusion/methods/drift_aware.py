@@ -6,7 +6,7 @@ keyframes (keyframes.py); with each new one the alignment's whole course is fitt
 (fit.py), so that what a prediction counts is decided again with each that follows. Where the newest ones are
 explained better by another alignment, odometry has lost its frame, or found it again (alternatives.py)."""
 
-from math import acos, cos, degrees, hypot, isnan, log, nan, pi, radians, sin, sqrt
+from math import acos, atan2, cos, degrees, hypot, isnan, log, nan, pi, radians, sin, sqrt
 
 import numpy as np
 from pydantic import Field
@@ -181,8 +181,10 @@ class DriftAware(Localiser):
         """Keep a prediction as the newest keyframe."""
         map_R_vio, position = map_T_cam_predicted[:3, :3] @ vio_T_cam[:3, :3].T, map_T_cam_predicted[:3, 3]
         yaw = float(heading(map_R_vio))
-        # What is left has no yaw: its axis lies in the horizontal plane.
-        tilt_x, _, tilt_z = Rotation.from_matrix(map_R_vio @ yaw_rotation(-yaw)).as_rotvec()
+        # What is left has no yaw: it turns the vertical about an axis of the horizontal plane.
+        x, up, z = map_R_vio[:, 1].tolist()
+        sine = hypot(x, z)
+        tilt = atan2(sine, up) / sine if sine > 0 else 1.0
         stated = self._predicted_covariance
         if stated is None:
             self._shrinkage = None
@@ -200,7 +202,7 @@ class DriftAware(Localiser):
             self._count = 0
         self._keyframes.add(
             whitening=normalised,
-            measured=(*position, yaw, tilt_x, tilt_z),
+            measured=(*position, yaw, tilt * z, -tilt * x),
             vio=vio_T_cam[:3, 3],
             forward=vio_T_cam[:3, 2],
             step=self._odometry_step.step(vio_T_cam[:3, 3]),

@@ -286,7 +286,7 @@ def alignment_covariance(keyframes: Rows, fit: Fit, index: int) -> Array:
     moved = counts[:, None, None] * keyframes["whitening"][:, :, UNKNOWN] @ response
     correlation = fit.correlation + fit.correlation.T + np.eye(len(keyframes))
     together = np.tensordot(correlation, moved, 1)
-    by_errors = np.tensordot(moved, np.linalg.solve(fit.covariance, together), ((0, 1), (0, 1)))
+    by_errors = np.tensordot(moved, np.linalg.inv(fit.covariance) @ together, ((0, 1), (0, 1)))
     by_drift = response[index] - np.tensordot(response, fit.information @ response, ((0, 1), (0, 1)))
     turn = np.eye(4)
     turn[:3, :3] = yaw_rotation(keyframes["state"][index, 3])
