@@ -23,6 +23,7 @@ from groundwalk.fusion.methods.estimator.prediction_errors import (
     side_turn_correlation,
     whitening,
 )
+from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, yaw_rotation
 from tests.fusion.literal_fit import literal_fit
 from tests.fusion.upright_walks import upright_walk
@@ -180,6 +181,15 @@ def test_covariances_are_those_of_the_normal_equations_and_bind_all_keyframes() 
     for at in (0, 5, count - 1):
         assert np.allclose(found.covariance[at], inverse[at, :, at])
         assert np.allclose(covariances_with(found, at), inverse[:, :, at])
+
+
+def test_what_nothing_binds_is_an_error() -> None:
+    terms, state, _ = chain(5)
+    terms.precision[6] = 0
+    information = np.zeros((len(state), 4, 4))
+    information[0] = np.eye(4)
+    with pytest.raises(GeometryError, match="undetermined"):
+        solve(terms, state, information, np.zeros((len(state), 4)))
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
