@@ -7,13 +7,10 @@ scene ?=
 profile ?= demo
 captures ?=
 web ?=
-seconds ?= 60
-official ?=
 predictions ?=
 tables ?=
 roots ?=
 stability ?=
-device ?=
 python ?= python3
 
 # What the user gives is text, never make's or the shell's language: it's read unexpanded, and recipes get it through the
@@ -23,14 +20,11 @@ override scene := $(value scene)
 override profile := $(value profile)
 override captures := $(value captures)
 override web := $(value web)
-override seconds := $(value seconds)
-override official := $(value official)
 override predictions := $(value predictions)
 override tables := $(value tables)
 override roots := $(value roots)
 override stability := $(value stability)
-override device := $(value device)
-export scene profile captures seconds official predictions tables roots device
+export scene profile captures predictions tables roots
 
 py := .venv/bin/python
 installed := .venv/.installed
@@ -115,16 +109,13 @@ test-page: $(installed) #! Reports' page in a real browser: needs chromium and t
 test-slow: $(installed) #! Whole-pipeline cases
 	@$(py) -m pytest -m slow
 
-test-faults: $(installed) #! Damage, kills, full disks, hostile names: a table of faults
+test-faults: $(installed) #! Damage, kills, full disks, two at once: a table of faults
 	@$(py) -m benchmarks.faults
 
 audit: #! Known vulnerabilities of the pinned dependencies (pip-audit); needs a network
 	@$(python) -m venv build/audit
 	@build/audit/bin/pip install --quiet --disable-pip-version-check pip-audit
 	@build/audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip
-
-bench: $(installed) #! Time, memory and bytes of each stage (profile=demo scene=Church unless named)
-	@$(py) -m benchmarks.stages --scene "$${scene:-Church}" --profile "$$profile"
 
 bench-localise: $(installed) #! Structure localisers Map and HLoc against the figures to reach (docs/results); finished runs
 	@$(py) -m benchmarks.localise
@@ -137,9 +128,6 @@ bench-regressors: $(installed) #! PN, MS-T, PN-Lite and MST-Lite beside each oth
 
 bench-cited: $(installed) #! The regressors that the paper cites beside PN, few epochs (docs/results); a finished run of Church; half an hour
 	@$(py) -m benchmarks.cited_regressors
-
-bench-training: $(installed) #! Training steps in images a second of a core, or device=cuda; official=<folder>: beside MS-Transformer's own code (docs/results)
-	@$(py) -m benchmarks.training $(if $(official),--official "$$official") $(if $(device),--device "$$device")
 
 bench-recovery: $(installed) #! How fusion methods bear what goes wrong in a walk, and how they start
 	@$(py) -m benchmarks.fusion_recovery
@@ -156,12 +144,8 @@ bench-real: $(installed) #! Real captures beside stock COLMAP (docs/results); ca
 bench-cameras: $(installed) #! Simulated phones whose lens, shutter and focus are unknown (docs/results); hours
 	@$(py) -m benchmarks.phone_cameras
 
-bench-import: $(installed) #! Import: how clearly mistakes are told apart in each format, and what blurring finds
-	@$(py) -m benchmarks.import_formats $(if $(wildcard ../shared),--captures ../shared/captures --trajectories ../shared/trajectories)
+bench-blurring: $(installed) #! What blurring of faces and plates finds, and what it blurs for nothing
 	@$(py) -m benchmarks.import_blurring $(if $(wildcard ../shared),--captures ../shared/captures)
-
-fuzz-import: $(installed) #! Fuzz the capture formats for some seconds (seconds=60); needs the extra `fuzz`
-	@$(py) -m benchmarks.import_fuzz "$$seconds"
 
 docs: $(installed) #! Write the generated pages of docs/reference: tables, settings, commands, checks
 	@$(py) -m groundwalk docs
@@ -192,4 +176,4 @@ help-dev: #! This text
 	@grep -hE '^[a-z-]+:.*#! ' $(MAKEFILE_LIST) | sed 's/:.*#! /\t/' | expand -t 22 | sed 's/^/  /'
 
 .NOTPARALLEL:
-.PHONY: all judge $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-recovery bench-steps bench-gates bench-real bench-cameras bench-import fuzz-import docs docs-site pictures test-page lock help help-dev
+.PHONY: all judge $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench-localise bench-phone bench-regressors bench-cited bench-recovery bench-steps bench-gates bench-real bench-cameras bench-blurring docs docs-site pictures test-page lock help help-dev

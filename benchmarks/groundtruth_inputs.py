@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pandas as pd
 
-from benchmarks.stages import Cost, measure
+from benchmarks.cost import Cost, measure
 from groundwalk.alignment.check_truth import TruthTarget, truth_targets
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, pose_residuals

@@ -26,6 +26,7 @@ import numpy as np
 import pandas as pd
 import typer
 
+from benchmarks.cost import run_timed
 from benchmarks.gates import PLACES, SFM_OF_SMALL
 from benchmarks.gates import PROFILE as SMALL
 from benchmarks.gates_captures import Capture, write_capture
@@ -38,7 +39,6 @@ from benchmarks.groundtruth_inputs import (
     true_poses,
 )
 from benchmarks.results import circumstances_of, markdown_table
-from benchmarks.stages import run_timed
 from benchmarks.stock import stock_command, stock_poses
 from benchmarks.weak_captures import KINDS, write_weak_capture
 from groundwalk.capture_import.definition import STAGE as IMPORT

@@ -3,7 +3,6 @@
 `python -m benchmarks.real` runs chair, corridor and charuco, where `--captures` has them, and any folder named with
 `--capture`, one after the other, and writes docs/results/real.md, real.csv and pictures. Cases that ran before keep
 their rows, each with its git revision and date. `--stability` resamples them instead and writes real-stability.md.
-Recordings without images have nothing for SfM (`make bench-import` and `make bench-fusion` use them).
 """
 
 import hashlib
@@ -18,6 +17,7 @@ from typing import Annotated
 import pandas as pd
 import typer
 
+from benchmarks.cost import run_timed
 from benchmarks.real_building import floor_figures, wall_figures
 from benchmarks.real_figures import (
     COMMON,
@@ -39,7 +39,6 @@ from benchmarks.real_figures import (
 from benchmarks.real_report import Result, Target, draw_case, judge, write_report
 from benchmarks.real_stability import stability_of, write_stability
 from benchmarks.results import machine
-from benchmarks.stages import run_timed
 from benchmarks.stock import stock_command
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import UserError

@@ -12,7 +12,7 @@ import pycolmap
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.stages import Cost, run_timed
+from benchmarks.cost import Cost, run_timed
 from benchmarks.stock import largest_model, matcher_name
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, pose_residuals

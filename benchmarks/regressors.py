@@ -20,8 +20,8 @@ import typer
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
+from benchmarks.cost import measure
 from benchmarks.results import circumstances, markdown_table, write_page
-from benchmarks.stages import measure
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.checkout import git_revision

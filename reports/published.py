@@ -54,15 +54,6 @@ def load_published(files: Mapping[str, Path] = PUBLISHED) -> PrintedTables:
     )
 
 
-def load_claims(files: Mapping[str, Path] = PUBLISHED) -> pd.DataFrame:
-    """What the paper's text says about its tables, one claim a row (README.md beside it has the columns)."""
-    return _read(
-        files,
-        "claims.csv",
-        ["claim", "section", "says", "kind", "environment", "scenes", "subset", "model", "statistic", "quantity"],
-    )
-
-
 def _read(files: Mapping[str, Path], name: str, columns: list[str]) -> pd.DataFrame:
     path = files.get(name)
     if path is None:

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.faults import artefacts, captures, machine, names, predictions, rooms, stops
+from benchmarks.faults import artefacts, machine, stops
 from benchmarks.faults.case import Case, Outcome
 from benchmarks.faults.sandbox import Sandbox, digest, make_sandbox, run_case, workers
 from benchmarks.results import circumstances, markdown_table
@@ -23,18 +23,13 @@ app = new_app("Faults on purpose, and what became of them.")
 WORK = Path("build/faults")
 
 
-def single_cases(base: Sandbox, captures_count: int = 500, machine_count: int = 8) -> list[Case]:
+def single_cases(base: Sandbox, machine_count: int = 8) -> list[Case]:
     """Every fault that is one command."""
     return [
         *artefacts.cases(base),
         *artefacts.image_cases(),
         *artefacts.output_cases(),
-        *names.cases(),
-        *predictions.cases(),
-        *captures.archive_cases(),
-        *captures.cases(captures_count),
         *machine.cases(machine_count),
-        *rooms.cases(base),
     ]
 
 

@@ -11,16 +11,20 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from benchmarks.stages import MODULES as STAGES
+from groundwalk.store.settings import STAGES
 
 pytestmark = pytest.mark.slow
 
 
-def run(module: str, scene: str, data: Path, *arguments: str) -> str:
+def command_of(stage: str, scene: str, data: Path) -> list[str]:
+    return [sys.executable, "-m", "groundwalk", stage, "--scene", scene, "--profile", "tiny", "--data", str(data)]
+
+
+def run(stage: str, scene: str, data: Path) -> str:
     """Run a stage as its own process; what it says on standard error."""
-    command = [sys.executable, "-m", module, *arguments, "--scene", scene, "--profile", "tiny", "--data", str(data)]
+    command = command_of(stage, scene, data)
     done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, f"{module}: {done.stderr[-3000:]}"
+    assert done.returncode == 0, f"{stage}: {done.stderr[-3000:]}"
     return done.stderr
 
 
@@ -32,8 +36,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run_all(scene: str, data: Path) -> dict[str, dict]:
     """Run every stage of a scene; the manifests by stage."""
     manifests = {}
-    for stage, module in STAGES.items():
-        run(module, scene, data)
+    for stage in STAGES:
+        run(stage, scene, data)
         manifests[stage] = json.loads((data / "runs/tiny" / scene / stage / "manifest.json").read_text())
     return manifests
 
@@ -44,7 +48,7 @@ def finished(data: Path) -> Callable[[str], dict[str, dict]]:
 
     @cache
     def finish(scene: str) -> dict[str, dict]:
-        run("groundwalk.simulation", scene, data)
+        run("simulate", scene, data)
         return run_all(scene, data)
 
     return finish
@@ -57,9 +61,9 @@ def test_simulated_scene_runs_to_the_end_and_then_has_nothing_to_do(
     manifests = finished(scene)
     assert all(manifest["simulated"] for manifest in manifests.values())
     folder = data / "runs/tiny" / scene
-    for stage, module in STAGES.items():
+    for stage in STAGES:
         assert stage == "report" or (folder / stage / "recording.rrd").stat().st_size > 1000
-        assert "up to date" in run(module, scene, data)
+        assert "up to date" in run(stage, scene, data)
     page = (folder / "report" / "page.html").read_text(encoding="utf-8")
     assert "imulated" in page
     truth = pd.read_parquet(folder / "align" / "ground_truth.parquet")
@@ -73,8 +77,8 @@ def test_a_group_trains_one_model_for_its_scenes(data: Path, finished: Callable[
     (data / "scenes" / "two.toml").write_text(
         'environment = "outdoor"\nmembers = ["Church", "Square"]\nstages = ["train", "fuse", "report"]\n'
     )
-    for module in ("groundwalk.training", "groundwalk.fusion", "groundwalk.reports"):
-        run(module, "two", data)
+    for stage in ("train", "fuse", "report"):
+        run(stage, "two", data)
     predictions = pd.read_parquet(data / "runs/tiny/two/train/predictions.parquet")
     assert set(predictions.model) == {"MS-T"}
     assert set(predictions.scene) == {"Church", "Square"}
@@ -131,8 +135,7 @@ def test_killed_stage_ends_in_the_same_tables(
     for other in STAGES:
         if other != stage:
             (tmp_path / "runs/tiny" / scene / other).symlink_to(data / "runs/tiny" / scene / other)
-    command = [sys.executable, "-m", STAGES[stage], "--scene", scene, "--profile", "tiny", "--data", str(tmp_path)]
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(command_of(stage, scene, tmp_path), stderr=subprocess.DEVNULL)
     partial = tmp_path / "runs/tiny" / scene / f".{stage}.partial"
     while not partial.is_dir() and process.poll() is None:
         time.sleep(0.02)
@@ -140,7 +143,7 @@ def test_killed_stage_ends_in_the_same_tables(
     process.kill()
     process.wait()
     assert not (tmp_path / "runs/tiny" / scene / stage).exists(), "the kill came too late to test anything"
-    run(STAGES[stage], scene, tmp_path)
+    run(stage, scene, tmp_path)
     expected, found = (
         parquet_tables(data / "runs/tiny" / scene / stage),
         parquet_tables(tmp_path / "runs/tiny" / scene / stage),

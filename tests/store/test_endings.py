@@ -171,7 +171,6 @@ NETWORK = {errno.ENOLCK, errno.EOPNOTSUPP, errno.EBUSY, errno.ESTALE, errno.EXDE
 def test_every_error_of_the_disk_anywhere_is_a_sentence(
     data: DataRoot, call: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # `make test-faults` has every number, the stages and calls in turn.
     numbers = {*DISKS, *NETWORK, *sorted(errno.errorcode)[CALLS.index(call) :: len(CALLS)]}
     may_be_the_librarys_fault = {errno.ENOENT, errno.EISDIR, errno.EINVAL, errno.EBADF} if call == LIBRARY else set()
     for number in sorted(numbers - may_be_the_librarys_fault - {errno.EPIPE}):

@@ -171,10 +171,10 @@ def test_git_and_the_wheel_see_nothing_of_the_users(tmp_path: Path) -> None:
 
 def test_a_file_of_the_data_folder_stands_before_the_shipped_one(tmp_path: Path) -> None:
     (tmp_path / "published").mkdir()
-    (tmp_path / "published" / "claims.csv").write_text("")
+    (tmp_path / "published" / "datasets.csv").write_text("")
     files, shipped = DataRoot(tmp_path).files("published"), DataRoot(SHIPPED_DATA).files("published")
-    assert files == shipped | {"claims.csv": tmp_path / "published" / "claims.csv"}
-    assert "table1_dataset.csv" in shipped and shipped["claims.csv"].is_file()
+    assert files == shipped | {"datasets.csv": tmp_path / "published" / "datasets.csv"}
+    assert "table1_dataset.csv" in shipped and shipped["datasets.csv"].is_file()
 
 
 def test_help_lists_each_setting() -> None:
