@@ -123,7 +123,7 @@ bench-localise: $(installed) #! Structure localisers Map and HLoc against the fi
 bench-phone: $(installed) #! Exported regressors without PyTorch: bytes, milliseconds, int8 against fp32 (docs/results); a finished run; roots=<folders, joined by commas>: trainings of bench-regressors (build/regressors/PN-0,...)
 	@$(py) -m benchmarks.phone --scene "$${scene:-Church}" --profile "$$profile" $(if $(roots),--data "$$roots")
 
-bench-regressors: $(installed) #! PN, MS-T, PN-Lite and MST-Lite beside each other, 3 seeds (docs/results); finished runs of Church and Office; hours
+bench-regressors: $(installed) #! PN, MS-T and PN-Lite beside each other, 3 seeds (docs/results); finished runs of Church and Office; hours
 	@$(py) -m benchmarks.regressors
 
 bench-cited: $(installed) #! The regressors that the paper cites beside PN, few epochs (docs/results); a finished run of Church; half an hour

@@ -45,7 +45,6 @@ TARGETS = {
     ("PN", "int8", "224 px, 2 threads"): 12.0,
     ("PN-Lite", "int8", "size"): 6.0,
     ("PN-Lite", "int8", "224 px, 2 threads"): 8.0,
-    ("MST-Lite", "fp32", "224 px, 2 threads"): 80.0,
 }
 
 

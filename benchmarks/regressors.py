@@ -32,7 +32,7 @@ from groundwalk.store.tables import poses_of, read_table
 
 app = new_app(__doc__ or "")
 
-MODELS = ("PN", "MS-T", "PN-Lite", "MST-Lite")
+MODELS = ("PN", "MS-T", "PN-Lite")
 _NEEDED = ("import", "align")
 _DRAWS = 100
 FIGURES = {

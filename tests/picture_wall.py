@@ -61,11 +61,14 @@ def wall_bundle(trained_wall: Path, tmp_path_factory: pytest.TempPathFactory) ->
     from typer.testing import CliRunner
 
     from groundwalk.export.__main__ import app
+    from groundwalk.export.phone import quantisation
 
     def make(folder: Path) -> None:
         options = {"scene": "Wall", "profile": "tiny", "data": trained_wall, "format": "phone", "model": "PN"}
         arguments = [text for name, value in options.items() for text in (f"--{name}", str(value))]
-        done = CliRunner().invoke(app, [*arguments, "--out", str(folder)])
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(quantisation, "_TIMED_S", 0.3)  # of each of some ten networks
+            done = CliRunner().invoke(app, [*arguments, "--out", str(folder)])
         assert done.exit_code == 0, done.exception or done.output
 
     return made_once(tmp_path_factory, "wall-bundle", make)

@@ -7,7 +7,6 @@ from groundwalk.training.regressor_settings import (
     DFNetSettings,
     LiteSettings,
     MapNetSettings,
-    MSTransformerLiteSettings,
     MSTransformerSettings,
     PoseNetSettings,
 )
@@ -94,16 +93,5 @@ PN_LITE = Regressor(
     make=Lazy("groundwalk.training.models.posenet_lite:make_posenet_lite"),
     whole_image_px=120,
     multi_scene=False,
-    gives_covariance=True,
-)
-MST_LITE = Regressor(
-    id="MST-Lite",
-    label="MST-Lite",
-    meaning="MS-T's transformers and a mixture of poses on frozen features of EfficientNet-Lite0",
-    colour=colours.LOCALISERS["MST-Lite"],
-    settings=MSTransformerLiteSettings,
-    make=Lazy("groundwalk.training.models.ms_transformer_lite:make_ms_transformer_lite"),
-    whole_image_px=120,
-    multi_scene=True,
     gives_covariance=True,
 )

@@ -1,12 +1,10 @@
 """Errors of a regressor's poses, and the answer that any regressor has to beat."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from groundwalk.geometry.averages import quaternion_mean
 from groundwalk.geometry.poses import quaternion_angle
@@ -28,29 +26,12 @@ def pose_errors(
 def answers(model: PoseRegressor, frames: Frames, view: View, device: torch.device) -> PoseBatch:
     """The model's poses of centre crops, of the cameras that it sees."""
     model.eval()
-    parts = [model(image) for image in _crops(frames, view, device)]
-    columns: list[Any] = [None if part[0] is None else torch.cat(part) for part in zip(*parts, strict=True)]
-    return PoseBatch(*columns)
-
-
-@torch.no_grad()
-def descriptors(model: PoseRegressor, frames: Frames, view: View, device: torch.device) -> Tensor | None:
-    """The model's descriptors (N, D) of centre crops; None where it has none."""
-    model.eval()
     parts = []
-    for image in _crops(frames, view, device):
-        part = model.describe(image)
-        if part is None:
-            return None
-        parts.append(part.float().cpu())
-    return torch.cat(parts)
-
-
-def _crops(frames: Frames, view: View, device: torch.device) -> Iterator[Tensor]:
-    """Centre crops, a batch at a time."""
     for start in range(0, len(frames), _BATCH):
         rows = np.arange(start, min(start + _BATCH, len(frames)))
-        yield frames.select(rows).centre_crops(view, device)
+        parts.append(model(frames.select(rows).centre_crops(view, device)))
+    columns: list[Any] = [None if part[0] is None else torch.cat(part) for part in zip(*parts, strict=True)]
+    return PoseBatch(*columns)
 
 
 def errors(

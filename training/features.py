@@ -1,4 +1,4 @@
-"""Features of a frozen backbone: computed once, kept in files, used in every epoch."""
+"""Features of a frozen backbone: computed once, kept in a file, used in every epoch."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,9 +23,9 @@ _BATCH = 32
 @dataclass(frozen=True)
 class FeatureCache:
     """Features of each training image and of its turned and re-coloured copies: row c * N + i is copy c of frame i,
-    copy 0 the image itself. In the files, one for each tensor, they are float16."""
+    copy 0 the image itself. In the file they are float16."""
 
-    features: tuple[NDArray[np.floating[Any]], ...]
+    features: NDArray[np.floating[Any]]
     quaternion_M4: NDArray[np.float64]
     training: Frames
 
@@ -34,11 +34,11 @@ class FeatureCache:
         """The scene of each row."""
         return np.tile(self.training.scene_N, len(self.quaternion_M4) // len(self.training))
 
-    def rows(self, rows: NDArray[np.int64], device: torch.device) -> tuple[tuple[Tensor, ...], PoseBatch]:
+    def rows(self, rows: NDArray[np.int64], device: torch.device) -> tuple[Tensor, PoseBatch]:
         """The features of some rows, and the poses that they are to be given."""
         frames = rows % len(self.training)
         position, scene = self.training.position_N3[frames], self.training.scene_N[frames]
-        features = tuple(torch.from_numpy(np.asarray(part[rows])).to(device) for part in self.features)
+        features = torch.from_numpy(np.asarray(self.features[rows])).to(device)
         return features, pose_batch(position, self.quaternion_M4[rows], scene, device)
 
 
@@ -56,36 +56,30 @@ def feature_cache(
 
     A copy's randomness comes from (seed, copy).
     """
-    done, copies = folder / "quaternions.npy", COPIES
+    done, kept = folder / "quaternions.npy", folder / "features.npy"
     if not done.exists():
         folder.mkdir(parents=True, exist_ok=True)
         model.eval()
         device = next(model.parameters()).device
         turns, jitter = Turns(*(settings.training.turn_deg or (0, 0, 0))), Jitter(*settings.training.jitter)
-        files: list[NDArray[np.float16]] = []
+        file = None
         quaternions = []
-        for copy in range(copies + 1):
+        for copy in range(COPIES + 1):
             rng = np.random.default_rng([seed, copy])
             angles, colours = (turns, jitter) if copy else (Turns(0, 0, 0), Jitter(0, 0, 0, 0))
             for start in range(0, len(training), _BATCH):
                 rows = np.arange(start, min(start + _BATCH, len(training)))
                 image, poses = training.select(rows).training_crops(view, angles, rng, device)
                 image = normalised(colours.apply(image, rng)).contiguous(memory_format=torch.channels_last)
-                parts = model.features(image)
-                if not files:
-                    shapes = [((copies + 1) * len(training), *part.shape[1:]) for part in parts]
-                    files = [
-                        np.lib.format.open_memmap(folder / f"{i}.npy", "w+", np.float16, shape)
-                        for i, shape in enumerate(shapes)
-                    ]
-                for file, part in zip(files, parts, strict=True):
-                    file[copy * len(training) + rows] = part.half().cpu().numpy()
+                features = model.features(image)
+                if file is None:
+                    shape = ((COPIES + 1) * len(training), *features.shape[1:])
+                    file = np.lib.format.open_memmap(kept, "w+", np.float16, shape)
+                file[copy * len(training) + rows] = features.half().cpu().numpy()
                 quaternions.append(poses.quaternion_B4.cpu().numpy())
-            report(0, f"features {copy + 1}/{copies + 1}")
-        for file in files:
-            file.flush()  # type: ignore[attr-defined]
+            report(0, f"features {copy + 1}/{COPIES + 1}")
+        assert file is not None, "there are training frames"
+        file.flush()
         with written_aside(done) as partial, partial.open("wb") as out:
             np.save(out, np.concatenate(quaternions).astype(np.float64))
-    count = len(list(folder.glob("[0-9]*.npy")))
-    features = tuple(np.load(folder / f"{i}.npy", mmap_mode="r") for i in range(count))
-    return FeatureCache(features, np.load(done), training)
+    return FeatureCache(np.load(kept, mmap_mode="r"), np.load(done), training)

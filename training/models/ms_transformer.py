@@ -189,12 +189,6 @@ class MSTransformer(BackboneRegressor):
         scene = logits_BS.argmax(dim=1)
         return self.frames.to_map(*self._regress(position_BSC, rotation_BSC, scene), scene)
 
-    def describe(self, image_B3HW: Tensor) -> Tensor:
-        """The vectors of both branches, of the scene that the model picks."""
-        position_BSC, rotation_BSC, logits_BS = self._decode(image_B3HW)
-        both_BSC = torch.cat([position_BSC, rotation_BSC], dim=-1)
-        return both_BSC[torch.arange(len(both_BSC)), logits_BS.argmax(dim=1)]
-
     def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
         """L2 of position and of unit quaternion, plus the scene's negative log-likelihood.
 

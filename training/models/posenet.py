@@ -49,9 +49,6 @@ class PoseNet(BackboneRegressor):
         scene = torch.zeros(len(position), dtype=torch.long, device=position.device)
         return self.frames.to_map(position, exp_quaternion(log_q), scene)
 
-    def describe(self, image_B3HW: Tensor) -> Tensor:
-        return self._features(image_B3HW)
-
     def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
         """L1 of position and of log-quaternion, on the hemisphere w >= 0."""
         position, log_q = self._regress(image_B3HW)

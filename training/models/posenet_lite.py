@@ -77,29 +77,25 @@ class Whitening(nn.Module):
         return (features_BF - self.mean) @ self.axes
 
 
-def last_layers(dropout: float, width: int, components: int) -> list[nn.Module]:
-    """The layers of the head after its first: a hidden one, and the outputs of its mixture."""
-    last = nn.Linear(width, components * OUTPUTS)
-    with torch.no_grad():
-        last.weight *= 0.3  # the anchors themselves are a good first answer
-    return [nn.GELU(), nn.Dropout(dropout), nn.Linear(width, width), nn.GELU(), nn.Dropout(dropout), last]
-
-
-class LiteRegressor(FrozenRegressor):
-    """Base of regressors on EfficientNet-Lite0: its frozen maps, their whitened summary, and a mixture of poses."""
+class PoseNetLite(FrozenRegressor):
+    """One scene's poses: a whitened summary of a frozen EfficientNet-Lite0's maps, two hidden layers, a mixture."""
 
     recordable = True
 
-    def __init__(self, scenes: int, width: int, components: int) -> None:
+    def __init__(self, dropout: float = 0.3, width: int = WIDTH, components: int = COMPONENTS) -> None:
         super().__init__()
-        self.scenes = scenes
         self.backbone = EfficientNetLite0().requires_grad_(False)
         self.channels = nn.ModuleList(map(ChannelComponents, _CHANNELS, _CHANNEL_WIDTHS))
         self.widths = [width * cells for width, cells in zip(_CHANNEL_WIDTHS, _CELLS, strict=True)]
         self.whitening = Whitening(sum(self.widths), width)
-        self.frames = SceneFrames(scenes)
-        self.mixture = PoseMixture(scenes, components)
+        self.frames = SceneFrames(1)
+        self.mixture = PoseMixture(1, components)
         self.covariance_scale = CovarianceScale()
+        first, last, hidden = nn.Linear(width, width), nn.Linear(width, components * OUTPUTS), nn.Linear(width, width)
+        with torch.no_grad():
+            last.weight *= 0.3  # the anchors themselves are a good first answer
+        layers = nn.Dropout(dropout / 2), first, nn.GELU(), nn.Dropout(dropout), hidden, nn.GELU(), nn.Dropout(dropout)
+        self.head = nn.Sequential(*layers, last)
 
     def initialise(self, poses: PoseBatch, settings: RegressorSettings, downloads: Path) -> str:
         if not isinstance(settings, LiteSettings):
@@ -109,83 +105,62 @@ class LiteRegressor(FrozenRegressor):
         self.mixture.fit(*self.frames.from_map(poses), poses.scene_B)
         return origin
 
-    def train(self, mode: bool = True) -> "LiteRegressor":
+    def train(self, mode: bool = True) -> "PoseNetLite":
         super().train(mode)
         self.backbone.eval()
         return self
 
     @torch.no_grad()
-    def maps(self, image_B3HW: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The backbone's maps in float32: bfloat16 slows depthwise convolutions down."""
+    def features(self, image_B3HW: Tensor) -> Tensor:
+        """The cells (B, sum(_POOLED)) of the backbone's maps of 1/16 and 1/32, which are in float32: bfloat16 slows
+        depthwise convolutions down."""
         with torch.autocast(image_B3HW.device.type, enabled=False):
-            return self.backbone.maps(image_B3HW)
-
-    def pooled(self, map_16: Tensor, map_32: Tensor) -> Tensor:
-        """The two maps' cells (B, sum(_POOLED))."""
+            _, map_16, map_32 = self.backbone.maps(image_B3HW)
         cells = nn.functional.adaptive_avg_pool2d(map_16, CELLS_16), nn.functional.adaptive_avg_pool2d(map_32, CELLS_32)
         return torch.cat([c.flatten(1) for c in cells], dim=1)
 
-    def reduced(self, first: Tensor) -> Tensor:
-        with torch.autocast(first.device.type, enabled=False):
-            return self.whitening(torch.cat(self._components(first), dim=1))
+    def reduced(self, features: Tensor) -> Tensor:
+        with torch.autocast(features.device.type, enabled=False):
+            return self.whitening(torch.cat(self._components(features), dim=1))
 
     def _components(self, pooled: Tensor) -> list[Tensor]:
         parts = pooled.float().split(_POOLED, dim=1)
         return [channels(part) for channels, part in zip(self.channels, parts, strict=True)]
 
-    def fit_features(self, features: tuple[Tensor, ...]) -> None:
-        for channels, part in zip(self.channels, features[0].float().split(_POOLED, dim=1), strict=True):
+    def fit_features(self, features: Tensor) -> None:
+        for channels, part in zip(self.channels, features.float().split(_POOLED, dim=1), strict=True):
             assert isinstance(channels, ChannelComponents)
             channels.fit(part)
-        parts = self._components(features[0])
+        parts = self._components(features)
         scales = torch.stack([part.std().clamp_min(_SMALLEST) * part.shape[1] ** 0.5 for part in parts])
         self.whitening.fit(
             torch.cat(parts, dim=1), scales.repeat_interleave(torch.tensor(self.widths, device=scales.device))
         )
 
-    def mixed(self, outputs: Tensor, scene_B: Tensor) -> PoseBatch:
-        """The poses in the map frame of the head's outputs.
-
-        Covariances have the shape of the mixture's, and the size of `error_sizes`.
-        """
+    def answer(self, reduced: Tensor) -> PoseBatch:
+        """The poses in the map frame. Covariances have the shape of the mixture's, and the size of `error_sizes`."""
+        outputs = self.head(reduced)
+        scene = torch.zeros(len(outputs), dtype=torch.long, device=outputs.device)
         with torch.autocast(outputs.device.type, enabled=False):
-            components = self.mixture.decode(outputs.float(), scene_B)
-            answer = self.mixture.poses(components, scene_B)
+            components = self.mixture.decode(outputs.float(), scene)
+            answer = self.mixture.poses(components, scene)
             sd = self.mixture.error_sizes(components, answer)
         assert answer.covariance_B66 is not None
         covariance = self.covariance_scale(resized(answer.covariance_B66, sd))
-        poses = self.frames.to_map(answer.position_B3, answer.quaternion_B4, scene_B)
-        scale = self.frames.scale[scene_B].expand(-1, 3)
+        poses = self.frames.to_map(answer.position_B3, answer.quaternion_B4, scene)
+        scale = self.frames.scale[scene].expand(-1, 3)
         units = torch.cat([torch.ones_like(scale), scale], dim=1)
         return poses._replace(covariance_B66=covariance * units[:, None] * units[..., None])
 
-    def mixture_loss(self, outputs: Tensor, poses: PoseBatch) -> Tensor:
+    def feature_loss(self, reduced: Tensor, poses: PoseBatch) -> Tensor:
+        """The mixture's negative log-likelihood."""
+        outputs = self.head(reduced)
         position, quaternion = self.frames.from_map(poses)
         with torch.autocast(outputs.device.type, enabled=False):
             return self.mixture.loss(outputs.float(), position, quaternion, poses.scene_B)
 
     def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
         self.covariance_scale.fit(answers, truth)
-
-
-class PoseNetLite(LiteRegressor):
-    """One scene's poses from the whitened features, through two hidden layers."""
-
-    def __init__(self, dropout: float = 0.3, width: int = WIDTH, components: int = COMPONENTS) -> None:
-        super().__init__(1, width, components)
-        first = nn.Dropout(dropout / 2), nn.Linear(width, width)
-        self.head = nn.Sequential(*first, *last_layers(dropout, width, components))
-
-    def features(self, image_B3HW: Tensor) -> tuple[Tensor, ...]:
-        _, map_16, map_32 = self.maps(image_B3HW)
-        return (self.pooled(map_16, map_32),)
-
-    def answer(self, features: tuple[Tensor, ...]) -> PoseBatch:
-        outputs = self.head(features[0])
-        return self.mixed(outputs, torch.zeros(len(outputs), dtype=torch.long, device=outputs.device))
-
-    def feature_loss(self, features: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
-        return self.mixture_loss(self.head(features[0]), poses)
 
 
 def make_posenet_lite(settings: LiteSettings, scenes: int, outdoor: bool) -> PoseNetLite:

@@ -118,13 +118,6 @@ class PoseRegressor(nn.Module, ABC):
         """How many frames of one session a training example has, and how many frames lie from one to the next."""
         return 1, 1
 
-    def describe(self, image_B3HW: Tensor) -> Tensor | None:
-        """What the network computes poses from (B, D): images that are near each other in it look alike to the network.
-
-        Covariances of a regressor that states none come from it; None: there are none.
-        """
-        return None
-
     def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
         """Called once after training with the answers to the held-out frames, to scale covariances by."""
 
@@ -155,36 +148,31 @@ class FrozenRegressor(PoseRegressor):
     epoch. `forward` and `loss` go from images to features and on."""
 
     @abstractmethod
-    def features(self, image_B3HW: Tensor) -> tuple[Tensor, ...]:
-        """What the frozen layers make of images, each tensor with one row an image."""
+    def features(self, image_B3HW: Tensor) -> Tensor:
+        """What the frozen layers make of images, with one row an image."""
 
     @abstractmethod
-    def fit_features(self, features: tuple[Tensor, ...]) -> None:
+    def fit_features(self, features: Tensor) -> None:
         """Called once before training, with the features of all training images."""
 
     @abstractmethod
-    def reduced(self, first: Tensor) -> Tensor:
-        """The first of the features as `answer` and `feature_loss` take it: after the steps that `fit_features` fixes,
-        which are computed once for all images."""
+    def reduced(self, features: Tensor) -> Tensor:
+        """The features as `answer` and `feature_loss` take them: after the steps that `fit_features` fixes, which are
+        computed once for all images."""
 
     @abstractmethod
-    def answer(self, features: tuple[Tensor, ...]) -> PoseBatch:
+    def answer(self, reduced: Tensor) -> PoseBatch:
         """`forward`, from reduced features on."""
 
     @abstractmethod
-    def feature_loss(self, features: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
+    def feature_loss(self, reduced: Tensor, poses: PoseBatch) -> Tensor:
         """`loss`, from reduced features on."""
 
-    def reduced_features(self, image_B3HW: Tensor) -> tuple[Tensor, ...]:
-        """`features` with the first reduced."""
-        first, *others = self.features(image_B3HW)
-        return self.reduced(first), *others
-
     def forward(self, image_B3HW: Tensor) -> PoseBatch:
-        return self.answer(self.reduced_features(image_B3HW))
+        return self.answer(self.reduced(self.features(image_B3HW)))
 
     def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
-        return self.feature_loss(self.reduced_features(image_B3HW), poses)
+        return self.feature_loss(self.reduced(self.features(image_B3HW)), poses)
 
 
 class BackboneRegressor(PoseRegressor):
