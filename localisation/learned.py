@@ -1,6 +1,7 @@
-"""Local features that a network gives, and the network that matches them: XFeat (Potje et al., "XFeat: Accelerated
-Features for Lightweight Image Matching", CVPR 2024) with LighterGlue. The networks are kornia's; their weights come in a
-package.
+"""Local features that a network gives, and the network that matches them: XFeat with LighterGlue (Potje et al., "XFeat:
+Accelerated Features for Lightweight Image Matching", CVPR 2024).
+
+The networks are kornia's; their weights come in a package.
 """
 
 import importlib.util
