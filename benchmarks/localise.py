@@ -27,12 +27,14 @@ from benchmarks.localise_lights import Figure, lights_section
 from benchmarks.localise_regressors import answers_of, trained_regressors
 from benchmarks.results import machine, markdown_table
 from groundwalk.export.regressor import TrainedRegressor
+from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.localisation.build import build_map
 from groundwalk.localisation.compact import CompactMap, read_map, write_map
+from groundwalk.localisation.feature_kinds import SIFT
 from groundwalk.localisation.frames import subset
 from groundwalk.localisation.hloc import HLocLocaliser
-from groundwalk.localisation.inputs import Inputs, read_features, read_inputs, training_of
+from groundwalk.localisation.inputs import Inputs, read_inputs, training_of
 from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings, StructureSettings
 from groundwalk.localisation.prepared import Training, prepare
 from groundwalk.localisation.query import MapLocaliser
@@ -44,7 +46,7 @@ from groundwalk.store.checkout import git_revision
 from groundwalk.store.choices import Appearance
 from groundwalk.store.cli import new_app
 from groundwalk.store.images import image_file, read_grey_image
-from groundwalk.store.parallel import one_thread
+from groundwalk.store.parallel import in_parallel, one_thread
 
 app = new_app(__doc__ or "")
 
@@ -179,9 +181,14 @@ def build(case: Case, root: DataRoot, profile: str) -> Built:
     rows = np.setdiff1d(training_rows(case.queries, inputs), query)
     captures, imported = root.captures(case.scene), run / "import"
     images = [image_file(name, captures, imported) for name in inputs.frames["image"]]
-    training = training_of(inputs, rows, read_features(inputs, rows, captures, imported, StructureSettings()))
+    settings = StructureSettings()
+
+    def features_of(row: int) -> Features:
+        return SIFT.extract(read_grey_image(images[row]), settings.max_features, settings.max_side)
+
+    training = training_of(inputs, rows, list(in_parallel(features_of, rows.tolist())))
     start = time.process_time()
-    prepared = prepare(case.scene, training, StructureSettings())
+    prepared = prepare(case.scene, training, settings)
     content = build_map(prepared, MapSettings())
     spent = time.process_time() - start
     print(f"{case.name}: map in {spent:.0f} s, {content.calibration}, {content.priors}", flush=True)

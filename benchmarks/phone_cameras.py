@@ -9,7 +9,6 @@ done, and the same command goes on with the rest; its captures and runs are dele
 docs/results/phone-cameras.md and .csv; cases that aren't in <work> stay as the .csv there has them.
 """
 
-import csv
 import json
 import os
 import shutil
@@ -38,7 +37,7 @@ from benchmarks.groundtruth_inputs import (
     simulated,
     true_poses,
 )
-from benchmarks.results import circumstances_of, markdown_table
+from benchmarks.results import circumstances_of, markdown_table, write_page
 from benchmarks.stock import stock_command, stock_poses
 from benchmarks.weak_captures import KINDS, write_weak_capture
 from groundwalk.capture_import.definition import STAGE as IMPORT
@@ -431,13 +430,14 @@ def _write(work: Path, out: Path) -> bool:
             "against the true one, and k1 inside its 95 % bounds. To reach: 85 to 99 % inside.",
             markdown_table(_weak_table(weak)),
         ]
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "phone-cameras.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
-    with (out / "phone-cameras.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["part", "case", "figure", "value"])
-        for part, rows in parts.items():
-            writer.writerows([part, row["case"], name, row[name]] for row in rows for name in row if name != "case")
+    figures = [
+        (part, row["case"], name, row[name])
+        for part, rows in parts.items()
+        for row in rows
+        for name in row
+        if name != "case"
+    ]
+    write_page(out, "phone-cameras", sections, [("part", "case", "figure", "value"), *figures])
     return not any("refused" in row or _missed(row) for row in grid)
 
 

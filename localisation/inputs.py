@@ -14,12 +14,8 @@ from groundwalk.geometry import GeometryError
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.fits import sim3_between
 from groundwalk.geometry.poses import Array
-from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
 from groundwalk.localisation.frames import Views, subset
-from groundwalk.localisation.localiser_settings import StructureSettings
 from groundwalk.localisation.prepared import Training
-from groundwalk.store.images import image_file, read_grey_image
-from groundwalk.store.parallel import in_parallel
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import camera_of, dataset_frames, poses_of, read_table, with_gravity_of_map
 
@@ -72,25 +68,6 @@ def _map_units(map_T_cam: Array, sfm_T_cam: Array, component_N: NDArray[np.int64
         with suppress(GeometryError):
             units[rows] = sim3_between(map_T_cam[rows], sfm_T_cam[rows]).scale
     return units
-
-
-def read_features(
-    inputs: Inputs,
-    rows: NDArray[np.int64],
-    captures: Path,
-    imported: Path,
-    settings: StructureSettings,
-    kind: FeatureKind = SIFT,
-) -> list[Features]:
-    """Features of the images of some rows; `captures` is the scene's capture folder, `imported` import's artefact."""
-    return list(
-        in_parallel(
-            lambda name: kind.extract(
-                read_grey_image(image_file(name, captures, imported)), settings.max_features, settings.max_side
-            ),
-            inputs.frames["image"].iloc[rows],
-        )
-    )
 
 
 def training_of(inputs: Inputs, rows: NDArray[np.int64], features: Sequence[Features]) -> Training:

@@ -1,6 +1,5 @@
 """`make test-faults`, or `python -m benchmarks.faults`: all faults, and docs/results/faults.{md,csv}."""
 
-import csv
 import random
 import shutil
 from collections.abc import Callable, Iterable, Iterator
@@ -14,7 +13,7 @@ import typer
 from benchmarks.faults import artefacts, machine, stops
 from benchmarks.faults.case import Case, Outcome
 from benchmarks.faults.sandbox import Sandbox, digest, make_sandbox, run_case, workers
-from benchmarks.results import circumstances, markdown_table
+from benchmarks.results import circumstances, markdown_table, write_page
 from groundwalk.store import progress
 from groundwalk.store.cli import new_app
 from groundwalk.store.settings import STAGES
@@ -97,23 +96,18 @@ def _write(outcomes: list[Outcome], out: Path, seed: int) -> None:
         ]
         peak = max(o.peak_bytes for o in of_kind) / 2**20
         rows.append([kind, str(len(of_kind)), *map(str, counts), f"{peak:,.0f}"])
-    text = "\n\n".join(
-        [
-            "# Faults on purpose",
-            "Written by `make test-faults` (`python -m benchmarks.faults`), not to be edited; `faults.csv` has every "
-            "case. A simulated scene of the smallest size. What is promised: docs/explanation/promises.md.",
-            f"{circumstances()} Seed {seed}. MiB: largest memory of one command, with all libraries loaded before.",
-            markdown_table(rows),
-        ]
-    )
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "faults.md").write_text(text + "\n", encoding="utf-8")
-    with (out / "faults.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["fault", "case", "done", "exit_status", "peak_mib", "problems"])
-        for o in outcomes:
-            words = [text.encode("unicode_escape").decode() for text in (o.case.name, o.done)]
-            writer.writerow([o.case.kind, *words, o.status, round(o.peak_bytes / 2**20), "; ".join(o.problems)])
+    sections = [
+        "# Faults on purpose",
+        "Written by `make test-faults` (`python -m benchmarks.faults`), not to be edited; `faults.csv` has every case. "
+        "A simulated scene of the smallest size. What is promised: docs/explanation/promises.md.",
+        f"{circumstances()} Seed {seed}. MiB: largest memory of one command, with all libraries loaded before.",
+        markdown_table(rows),
+    ]
+    figures: list[list[object]] = [["fault", "case", "done", "exit_status", "peak_mib", "problems"]]
+    for o in outcomes:
+        words = [text.encode("unicode_escape").decode() for text in (o.case.name, o.done)]
+        figures.append([o.case.kind, *words, o.status, round(o.peak_bytes / 2**20), "; ".join(o.problems)])
+    write_page(out, "faults", sections, figures)
 
 
 if __name__ == "__main__":

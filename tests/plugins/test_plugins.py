@@ -1,6 +1,5 @@
 """Packages that add to groundwalk: installed, found by their entry points, and run from import to report and export."""
 
-import importlib.util
 import json
 import os
 import re
@@ -8,7 +7,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import cv2
 import numpy as np
@@ -16,6 +14,7 @@ import pandas as pd
 import pytest
 
 from groundwalk.geometry.poses import make_pose, tq_from_pose
+from tests.sfm import textured_room as made
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -39,20 +38,10 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [installed(name, tmp_path_factory.mktemp("packages") / name) for name in ("example", "broken")]
 
 
-def sfm_tests() -> ModuleType:
-    """The textured room that SfM's tests photograph."""
-    spec = importlib.util.spec_from_file_location("sfm_room", HERE.parent / "sfm" / "textured_room.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data folder with two walks in the example package's capture format; one row of them is spoilt."""
-    made, folder = sfm_tests(), tmp_path_factory.mktemp("data")
+    folder = tmp_path_factory.mktemp("data")
     textures = [made._texture(np.linalg.norm(u), np.linalg.norm(v), seed) for seed, (_, u, v) in enumerate(made._WALLS)]
     vio_T_room = make_pose(np.diag([-1.0, 1.0, -1.0]), [5.0, 0.0, 1.0])
     for session, (count, height_m, distance_m) in {"train": (14, 1.5, 2.6), "test": (10, 1.2, 2.2)}.items():

@@ -3,7 +3,7 @@
 import numpy as np
 
 from groundwalk.geometry.poses import make_pose
-from groundwalk.simulation.camera import Exposure, auto_exposure, expose, intrinsics
+from groundwalk.simulation.camera import Exposure, auto_exposure, expose
 from groundwalk.simulation.view import Rendering, View
 
 VIEW = View(make_pose(np.eye(3), np.zeros(3)), 240.0, 240.0, 160.0, 120.0, 320, 240)
@@ -14,17 +14,6 @@ def bar() -> np.ndarray:
     image = np.full((240, 320, 3), 60, np.float32)
     image[:, 158:162] = 200
     return image
-
-
-def test_intrinsics_wander_slowly_and_little() -> None:
-    t = np.arange(0, 300, 0.1)
-    k = intrinsics(t, 1920, 1440, np.random.default_rng(0))
-    assert np.array_equal(k[:, 0], k[:, 1])
-    assert np.abs(k[:, 0] / 1447.65 - 1).max() < 0.006
-    assert np.ptp(k[:, 0]) > 1
-    assert np.abs(np.diff(k[:, 0])).max() < 1
-    assert np.abs(k[:, 2] - 967.5).max() < 6
-    assert np.abs(k[:, 3] - 692.5).max() < 6
 
 
 def test_exposure_follows_the_light_with_a_lag() -> None:

@@ -129,13 +129,6 @@ def test_the_child_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     _wait_until(lambda: _stands_still(written))
 
 
-def test_what_children_run_loads_without_the_viewers_library() -> None:
-    """It takes a second, and a stage starts several children."""
-    modules = "groundwalk.sfm.mapping.build, groundwalk.sfm.pairs.features, groundwalk.sfm.pairs.matching"
-    command = f"import sys, {modules}; assert 'rerun' not in sys.modules"
-    subprocess.run([sys.executable, "-c", command], check=True)
-
-
 def _stands_still(written: Path) -> bool:
     before = written.read_text() if written.exists() else ""
     time.sleep(0.3)

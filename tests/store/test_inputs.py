@@ -330,36 +330,3 @@ def test_a_bug_in_a_fresh_run_is_raised_once(data: DataRoot) -> None:
     with pytest.raises(ZeroDivisionError):
         run(data, stage("import", run=fail))
     assert len(runs) == 1
-
-
-def test_everything_is_synced_before_it_is_renamed(data: DataRoot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After a power cut a file system may have the rename but not the content of what wasn't synced."""
-    synced: set[str] = set()
-    unsynced: list[Path] = []
-    fsync, rename, replace = os.fsync, Path.rename, Path.replace
-
-    def note(descriptor: int) -> None:
-        synced.add(os.path.realpath(f"/proc/self/fd/{descriptor}"))
-        fsync(descriptor)
-
-    def check(source: Path) -> None:
-        files = [source] if source.is_file() else [source, *source.rglob("*")]
-        unsynced.extend(path for path in files if str(path) not in synced)
-
-    def checked_rename(self: Path, target: Path) -> Path:
-        if self.name.endswith(".partial"):
-            check(self)
-        return rename(self, target)
-
-    def checked_replace(self: Path, target: Path) -> Path:
-        check(self)
-        return replace(self, target)
-
-    if not Path("/proc/self/fd").is_dir():
-        pytest.skip("this system has no /proc to name an open file by its number")
-    monkeypatch.setattr(os, "fsync", note)
-    monkeypatch.setattr(Path, "rename", checked_rename)
-    monkeypatch.setattr(Path, "replace", checked_replace)
-    folder = run(data, IMPORT)
-    assert unsynced == []
-    assert str(folder.parent) in synced

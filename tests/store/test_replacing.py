@@ -10,7 +10,6 @@ import pytest
 from groundwalk.store import DataRoot, Settings, Stage, StageRun, UserError, execute
 from groundwalk.store.files import fresh_folder
 from groundwalk.store.locks import lock_file, locked
-from groundwalk.store.settings import STAGES
 
 
 class NoSettings(Settings):
@@ -77,26 +76,23 @@ def test_a_note_outlives_a_kill(data: DataRoot, killed: str) -> None:
     assert not folder.with_name(".sfm.old").exists()
 
 
-@pytest.mark.parametrize("name", STAGES)
-@pytest.mark.parametrize("hidden", ["{}", ".{}.partial"])
-def test_a_stages_folder_that_is_a_link_is_refused_before_its_work(
-    data: DataRoot, tmp_path: Path, name: str, hidden: str
-) -> None:
+@pytest.mark.parametrize("hidden", ["sfm", ".sfm.partial"])
+def test_a_stages_folder_that_is_a_link_is_refused_before_its_work(data: DataRoot, tmp_path: Path, hidden: str) -> None:
     """And made once the link is away; a link above it does no harm."""
     elsewhere, scene = tmp_path / "elsewhere", data.run("own", "place")
     elsewhere.mkdir()
     scene.parent.mkdir(parents=True)
     scene.symlink_to(tmp_path / "disk")
     (tmp_path / "disk").mkdir()
-    link = scene / hidden.format(name)
+    link = scene / hidden
     link.symlink_to(elsewhere)
     worked: list[StageRun[NoSettings]] = []
     for _ in range(2):
         with pytest.raises(UserError, match=r"(?s)can't be\n.*found: +a link\n.*move it away"):
-            execute(stage(name, worked.append), "place", "own", data)
+            execute(stage("sfm", worked.append), "place", "own", data)
     assert not worked and not any(elsewhere.iterdir())
     link.unlink()
-    execute(stage(name), "place", "own", data)
+    execute(stage("sfm"), "place", "own", data)
 
 
 def test_an_artefact_behind_a_link_is_still_read(data: DataRoot, tmp_path: Path) -> None:
