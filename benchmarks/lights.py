@@ -1,49 +1,22 @@
-"""The test walks of a simulated capture in the simulator's other lights, pose by pose: `python -m benchmarks.lights`.
+"""The test walks of a simulated capture in the simulator's other lights, pose by pose.
 
 Only images are made, with the capture's settings and seed: the walks are the same in every light, so that the ground
-truth of the capture's frames is theirs, too. `--picture` puts one frame in all lights into a file.
+truth of the capture's frames is theirs, too.
 """
 
-import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import cv2
 import numpy as np
-import typer
 
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.simulate import plan_sessions, render_images, write_truth
-from groundwalk.store import DataRoot, UserError
+from groundwalk.store import UserError
 from groundwalk.store.choices import Appearance
-from groundwalk.store.cli import new_app
-from groundwalk.store.files import read_json, written_aside
+from groundwalk.store.files import read_json
 from groundwalk.store.schemas import schema
 from groundwalk.store.simulated import SIMULATED_MARKER, TRUE_POSES, appearances_of
 from groundwalk.store.tables import poses_of, read_table
-
-app = new_app(__doc__ or "")
-
-OTHERS = tuple(appearance for appearance in Appearance if appearance != Appearance.SAME)
-_COLUMNS, _WIDTH, _GAP = 4, 360, 6
-
-
-@app.command()
-def main(
-    data: Annotated[Path, typer.Option(help="The data folder with the simulated capture.")] = Path("data"),
-    scene: Annotated[str, typer.Option(help="The simulated scene.")] = "Church",
-    out: Annotated[Path, typer.Option(help="Folder for the images.")] = Path("build/lights"),
-    light: Annotated[list[Appearance] | None, typer.Option(help="The lights; all but same unless given.")] = None,
-    processes: Annotated[int, typer.Option(help="Processes that render.", min=1)] = os.cpu_count() or 1,
-    picture: Annotated[Path | None, typer.Option(help="A file for frames in all lights, a JPEG.")] = None,
-    frames: Annotated[int, typer.Option(help="Frames in the picture.", min=1)] = 2,
-) -> None:
-    """Render the test walks of a simulated capture in other lights."""
-    captures = DataRoot(data).captures(scene)
-    for appearance in light or OTHERS:
-        frames_in(captures, appearance, out / scene / appearance, processes)
-    if picture:
-        draw(captures, out / scene, picture, frames)
 
 
 def frames_in(captures: Path, appearance: Appearance, out: Path, processes: int) -> None:
@@ -72,28 +45,3 @@ def _marker(captures: Path) -> dict[str, Any]:
             do="simulate the scene with appearances same alone",
         )
     return marker
-
-
-def draw(captures: Path, lights: Path, picture: Path, count: int) -> None:
-    """A row of every light for each of `count` frames, spread over the first test walk."""
-    names = sorted(path.name for path in (captures / "test-1").glob("*.jpg"))
-    rows = []
-    for number in range(count):
-        name = names[len(names) * (2 * number + 1) // (2 * count)]
-        files = [captures / "test-1" / name, *(lights / light / "test-1" / name for light in OTHERS)]
-        images = [np.asarray(cv2.imread(str(file))) for file in files]
-        small = [
-            cv2.resize(i, (_WIDTH, _WIDTH * i.shape[0] // i.shape[1]), interpolation=cv2.INTER_AREA) for i in images
-        ]
-        gap = np.full((small[0].shape[0], _GAP, 3), 255, np.uint8)
-        rows.append(np.hstack([part for image in small for part in (gap, image)][1:]))
-    gap = np.full((_GAP, rows[0].shape[1], 3), 255, np.uint8)
-    _, data = cv2.imencode(
-        ".jpg", np.vstack([p for row in rows for p in (gap, row)][1:]), [cv2.IMWRITE_JPEG_QUALITY, 82]
-    )
-    with written_aside(picture) as partial:
-        partial.write_bytes(data.tobytes())
-
-
-if __name__ == "__main__":
-    app()

@@ -138,22 +138,6 @@ def test_pictures_go_with_every_kth_pose(finished: Path) -> None:
     assert marker["reduced"]["image size"] == {"here": "96x72", "paper": "1920x1440"}
 
 
-def test_a_damaged_checkpoint_is_dropped_and_the_run_starts_anew(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def dies(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        patched.setattr(module, "render_images", dies)
-        with pytest.raises(KeyboardInterrupt):
-            run(tmp_path)
-    (saved,) = (tmp_path / "captures" / f".{SCENE}.partial" / "mesh").glob("*.npz")
-    saved.write_bytes(saved.read_bytes()[:1000])
-    assert digests(run(tmp_path)) == digests(finished)
-    assert capsys.readouterr().err.count("the checkpoints are damaged") == 1
-
-
 def test_a_killed_run_leaves_nothing_finished_and_goes_on(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

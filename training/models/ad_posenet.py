@@ -10,7 +10,7 @@ from groundwalk.store import UserError
 from groundwalk.store.files import sha256_of
 from groundwalk.store.hints import setting_of
 from groundwalk.store.images import read_image
-from groundwalk.training.models.posenet import PoseNet, loss_weights, single_scene
+from groundwalk.training.models.posenet import PoseNet, loss_weights
 from groundwalk.training.models.resnet import FEATURES
 from groundwalk.training.models.uncertainty import CovarianceScale, mean_with_scatter
 from groundwalk.training.poses import PoseBatch
@@ -107,5 +107,4 @@ def _read_prior(path: Path) -> Tensor:
 
 def make_ad_posenet(settings: ADPoseNetSettings, scenes: int, outdoor: bool) -> ADPoseNet:
     """AD-PoseNet with random weights."""
-    single_scene("AD-PoseNet", scenes)
     return ADPoseNet(settings.dropout, *loss_weights(settings))

@@ -4,7 +4,7 @@ camera relocalization", ICRA 2016)."""
 import torch
 from torch import Tensor
 
-from groundwalk.training.models.posenet import HIDDEN, PoseNet, loss_weights, single_scene
+from groundwalk.training.models.posenet import HIDDEN, PoseNet, loss_weights
 from groundwalk.training.models.uncertainty import CovarianceScale, mean_with_scatter
 from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressor_settings import PoseNetSettings
@@ -42,5 +42,4 @@ class BayesianPoseNet(PoseNet):
 
 def make_bayesian_posenet(settings: PoseNetSettings, scenes: int, outdoor: bool) -> BayesianPoseNet:
     """Bayesian PoseNet with random weights."""
-    single_scene("Bayesian PoseNet", scenes)
     return BayesianPoseNet(settings.dropout, *loss_weights(settings))

@@ -8,7 +8,7 @@ weighted by a confidence that the network learns, and a heteroscedastic loss.
 import torch
 from torch import Tensor, nn
 
-from groundwalk.training.models.posenet import loss_weights, single_scene
+from groundwalk.training.models.posenet import loss_weights
 from groundwalk.training.models.regressor import BackboneRegressor
 from groundwalk.training.models.resnet import FEATURES, ResNet34
 from groundwalk.training.models.uncertainty import CovarianceScale, diagonal_in_map, rotation_vector
@@ -83,5 +83,4 @@ def with_coordinates(maps_BCHW: Tensor) -> Tensor:
 
 def make_coordinet(settings: PoseNetSettings, scenes: int, outdoor: bool) -> CoordiNet:
     """CoordiNet with random weights."""
-    single_scene("CoordiNet", scenes)
     return CoordiNet(*loss_weights(settings))

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from groundwalk.training.models.point_renderer import PointRenderer
-from groundwalk.training.models.posenet import PoseNet, loss_weights, single_scene
+from groundwalk.training.models.posenet import PoseNet, loss_weights
 from groundwalk.training.models.regressor import MapPoints
 from groundwalk.training.poses import PoseBatch, exp_quaternion, log_quaternion, multiply
 from groundwalk.training.regressor_settings import DFNetSettings
@@ -152,5 +152,4 @@ def _adapter(channels: int) -> nn.Sequential:
 
 def make_dfnet(settings: DFNetSettings, scenes: int, outdoor: bool) -> DFNet:
     """DFNet with random weights."""
-    single_scene("DFNet", scenes)
     return DFNet(settings)

@@ -9,19 +9,11 @@ import torch
 from torch import Tensor, nn
 
 from groundwalk.store import UserError
-from groundwalk.training.models.efficientnet import (
-    HEAD_CHANNELS,
-    REDUCTION_8_CHANNELS,
-    REDUCTION_16_CHANNELS,
-    STAGES,
-    StageSpec,
-)
+from groundwalk.training.models.efficientnet import HEAD_CHANNELS, REDUCTION_16_CHANNELS, STAGES, StageSpec
 from groundwalk.training.weights import SETTING, read_state, refuse_other_network
 
-# The last blocks with the maps of 1/8, 1/16 and 1/32 of the image.
-BLOCK_8, BLOCK_16, BLOCK_32 = 4, 10, 15
-BLOCK_32_CHANNELS = 320
-MAP_CHANNELS = (REDUCTION_8_CHANNELS, REDUCTION_16_CHANNELS, BLOCK_32_CHANNELS)
+_BLOCK_16 = 10  # the last one with the map of 1/16 of the image; the last of all has that of 1/32
+MAP_CHANNELS = (REDUCTION_16_CHANNELS, 320)
 _STEM_CHANNELS = 32
 _EPS = 1e-3
 _NORM = ("weight", "bias", "running_mean", "running_var")
@@ -77,18 +69,17 @@ class EfficientNetLite0(nn.Module):
             self.head = SameConv(channels_in, HEAD_CHANNELS, 1)
             self.classifier = nn.Linear(HEAD_CHANNELS, classes)
 
-    def maps(self, image_B3HW: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The maps (B, 40, H/8, W/8), (B, 112, H/16, W/16) and (B, 320, H/32, W/32), sides rounded up."""
-        x = nn.functional.relu6(self.stem(image_B3HW))
-        maps = []
+    def maps(self, image_B3HW: Tensor) -> tuple[Tensor, Tensor]:
+        """The maps (B, 112, H/16, W/16) and (B, 320, H/32, W/32), sides rounded up."""
+        x = map_16 = nn.functional.relu6(self.stem(image_B3HW))
         for index, block in enumerate(self.blocks):
             x = block(x)
-            if index in (BLOCK_8, BLOCK_16, BLOCK_32):
-                maps.append(x)
-        return maps[0], maps[1], maps[2]
+            if index == _BLOCK_16:
+                map_16 = x
+        return map_16, x
 
     def forward(self, image_B3HW: Tensor) -> Tensor:
-        return self.classifier(nn.functional.relu6(self.head(self.maps(image_B3HW)[2])).mean((2, 3)))
+        return self.classifier(nn.functional.relu6(self.head(self.maps(image_B3HW)[1])).mean((2, 3)))
 
 
 def _layers() -> dict[str, tuple[str, str]]:

@@ -3,7 +3,7 @@ maps for camera localization", CVPR 2018). Its pose graph at test time is fusion
 
 from torch import Tensor, nn
 
-from groundwalk.training.models.posenet import PoseNet, loss_weights, single_scene
+from groundwalk.training.models.posenet import PoseNet, loss_weights
 from groundwalk.training.models.regressor import LearnedWeights
 from groundwalk.training.poses import PoseBatch, log_quaternion
 from groundwalk.training.regressor_settings import MapNetSettings
@@ -41,5 +41,4 @@ class MapNet(PoseNet):
 
 def make_mapnet(settings: MapNetSettings, scenes: int, outdoor: bool) -> MapNet:
     """MapNet with random weights."""
-    single_scene("MapNet", scenes)
     return MapNet(settings.dropout, *loss_weights(settings))

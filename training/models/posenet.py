@@ -59,12 +59,6 @@ class PoseNet(BackboneRegressor):
         )
 
 
-def single_scene(name: str, scenes: int) -> None:
-    """ValueError where a regressor of one scene is asked for several."""
-    if scenes != 1:
-        raise ValueError(f"{name} holds one scene, not {scenes}")
-
-
 def loss_weights(settings: BackboneSettings) -> tuple[float, float]:
     """The recipe's first log-variances of the position and the rotation loss."""
     weights = settings.training.loss_weights
@@ -74,5 +68,4 @@ def loss_weights(settings: BackboneSettings) -> tuple[float, float]:
 
 def make_posenet(settings: PoseNetSettings, scenes: int, outdoor: bool) -> PoseNet:
     """PN with random weights."""
-    single_scene("PN", scenes)
     return PoseNet(settings.dropout, *loss_weights(settings))

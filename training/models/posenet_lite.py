@@ -7,7 +7,6 @@ from torch import Tensor, nn
 
 from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
 from groundwalk.training.models.efficientnet_lite import MAP_CHANNELS, EfficientNetLite0, load_lite0
-from groundwalk.training.models.posenet import single_scene
 from groundwalk.training.models.regressor import FrozenRegressor, SceneFrames
 from groundwalk.training.models.uncertainty import CovarianceScale, resized
 from groundwalk.training.poses import PoseBatch
@@ -18,8 +17,7 @@ COMPONENTS = 32  # poses of the mixture
 # Rows and columns to which the maps of 1/16 and 1/32 are pooled.
 CELLS_16, CELLS_32 = (5, 7), (4, 5)
 _CELLS = CELLS_16[0] * CELLS_16[1], CELLS_32[0] * CELLS_32[1]
-_CHANNELS = MAP_CHANNELS[1:]
-_POOLED = [channels * cells for channels, cells in zip(_CHANNELS, _CELLS, strict=True)]
+_POOLED = [channels * cells for channels, cells in zip(MAP_CHANNELS, _CELLS, strict=True)]
 _CHANNEL_WIDTHS = 48, 128  # of the maps' 112 and 320 channels
 _REGULARISATION = 0.05  # of the whitening, in parts of the largest variance
 _SMALLEST = 1e-6
@@ -85,7 +83,7 @@ class PoseNetLite(FrozenRegressor):
     def __init__(self, dropout: float = 0.3, width: int = WIDTH, components: int = COMPONENTS) -> None:
         super().__init__()
         self.backbone = EfficientNetLite0().requires_grad_(False)
-        self.channels = nn.ModuleList(map(ChannelComponents, _CHANNELS, _CHANNEL_WIDTHS))
+        self.channels = nn.ModuleList(map(ChannelComponents, MAP_CHANNELS, _CHANNEL_WIDTHS))
         self.widths = [width * cells for width, cells in zip(_CHANNEL_WIDTHS, _CELLS, strict=True)]
         self.whitening = Whitening(sum(self.widths), width)
         self.frames = SceneFrames(1)
@@ -115,7 +113,7 @@ class PoseNetLite(FrozenRegressor):
         """The cells (B, sum(_POOLED)) of the backbone's maps of 1/16 and 1/32, which are in float32: bfloat16 slows
         depthwise convolutions down."""
         with torch.autocast(image_B3HW.device.type, enabled=False):
-            _, map_16, map_32 = self.backbone.maps(image_B3HW)
+            map_16, map_32 = self.backbone.maps(image_B3HW)
         cells = nn.functional.adaptive_avg_pool2d(map_16, CELLS_16), nn.functional.adaptive_avg_pool2d(map_32, CELLS_32)
         return torch.cat([c.flatten(1) for c in cells], dim=1)
 
@@ -165,5 +163,4 @@ class PoseNetLite(FrozenRegressor):
 
 def make_posenet_lite(settings: LiteSettings, scenes: int, outdoor: bool) -> PoseNetLite:
     """PN-Lite with random weights."""
-    single_scene("PN-Lite", scenes)
     return PoseNetLite(settings.dropout)
