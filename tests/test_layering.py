@@ -101,22 +101,3 @@ def test_each_package_is_named_groundwalk() -> None:
         text = path.read_text(encoding="utf-8")
         found = [match.group().strip() for bare in BARE for match in bare.finditer(text)]
         assert not found, f"{path.relative_to(ROOT)}: {found[0]}: the package's name is groundwalk.<package>"
-
-
-@pytest.mark.parametrize(
-    ("text", "is_bare"),
-    [
-        ("python -m PACKAGE --help", True),
-        ('run([sys.executable, "-m", "PACKAGE"])', True),
-        ("import PACKAGE", True),
-        ('"import sys, PACKAGE.pairs"', True),
-        ("    from PACKAGE.pairs import pairs", True),
-        ('"a = 1\\nfrom PACKAGE import b"', True),
-        ('import_module(f"PACKAGE.{name}")', True),
-        ("from groundwalk.PACKAGE.pairs import pairs", False),
-        ("python -m groundwalk.PACKAGE", False),
-        ("frames are from PACKAGE frames", False),
-    ],
-)
-def test_bare_names_are_seen(text: str, is_bare: bool) -> None:
-    assert any(bare.search(text.replace("PACKAGE", "sfm")) for bare in BARE) == is_bare

@@ -46,25 +46,12 @@ def fields(model: type[Settings], name: str) -> Iterator[tuple[str, Any]]:
             yield f"{name}.{key}", field
 
 
-def test_each_setting_has_a_description_and_a_row() -> None:
-    page = (REFERENCE / "settings.md").read_text(encoding="utf-8")
-    models = {"split": SplitRules, **SECTIONS, **RULERS}
+def test_each_setting_has_a_description() -> None:
+    models = {"scene": SceneConfig, "split": SplitRules, **SECTIONS, **RULERS}
     named = [pair for name, model in models.items() for pair in fields(model, name)]
-    named += [pair for pair in fields(SceneConfig, "scene") if not pair[0].startswith(("scene.name", "scene.split"))]
     assert len(named) > 100
     for name, field in named:
-        if name.rpartition(".")[2] != "kind":
-            assert field.description, f"{name} has no description"
-            assert f"| `{name.partition('.')[2]}` |" in page
-
-
-def test_each_command_and_option_has_a_row() -> None:
-    page = (REFERENCE / "commands.md").read_text(encoding="utf-8")
-    for command in all_commands():
-        _, _, section = page.partition(f"\n### groundwalk {command.name}\n")
-        section = section.partition("\n##")[0]
-        for parameter in command.load().params:
-            assert f"| `{parameter.opts[0]}`" in section, f"{command.name} {parameter.opts[0]}"
+        assert field.description or name.rpartition(".")[2] in ("kind", "name"), f"{name} has no description"
 
 
 def test_each_capture_format_is_in_the_table() -> None:
@@ -87,16 +74,3 @@ def test_each_profile_s_settings_are_settings_of_their_stages(profile: str) -> N
     for section, model in SECTIONS.items():
         resolved = resolve_settings(model, section, DataRoot(SHIPPED_DATA), profile, "Church", [])
         assert isinstance(resolved, model)
-
-
-def test_the_standard_profile_lies_between_demo_and_paper() -> None:
-    def of(profile: str, section: str) -> Any:
-        return resolve_settings(SECTIONS[section], section, DataRoot(SHIPPED_DATA), profile, "Church", [])
-
-    demo, standard, paper = (of(profile, "simulate") for profile in ("demo", "standard", "paper"))
-    assert demo.frame_fraction < standard.frame_fraction < paper.frame_fraction
-    assert demo.width <= standard.width <= paper.width
-    demo, standard, paper = (of(profile, "train") for profile in ("demo", "standard", "paper"))
-    assert demo.crop < standard.crop == paper.crop == 224
-    for name, of_paper in paper.regressors.items():
-        assert demo.regressors[name].epochs < standard.regressors[name].epochs < of_paper.epochs
