@@ -7,8 +7,6 @@ scene ?=
 profile ?= demo
 captures ?=
 web ?=
-predictions ?=
-tables ?=
 roots ?=
 stability ?=
 python ?= python3
@@ -20,11 +18,9 @@ override scene := $(value scene)
 override profile := $(value profile)
 override captures := $(value captures)
 override web := $(value web)
-override predictions := $(value predictions)
-override tables := $(value tables)
 override roots := $(value roots)
 override stability := $(value stability)
-export scene profile captures predictions tables roots
+export scene profile captures roots
 
 py := .venv/bin/python
 installed := .venv/.installed

@@ -42,7 +42,10 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data folder with two walks in the example package's capture format; one row of them is spoilt."""
     folder = tmp_path_factory.mktemp("data")
-    textures = [made._texture(np.linalg.norm(u), np.linalg.norm(v), seed) for seed, (_, u, v) in enumerate(made._WALLS)]
+    textures = [
+        made._texture(float(np.linalg.norm(u)), float(np.linalg.norm(v)), seed)
+        for seed, (_, u, v) in enumerate(made._WALLS)
+    ]
     vio_T_room = make_pose(np.diag([-1.0, 1.0, -1.0]), [5.0, 0.0, 1.0])
     for session, (count, height_m, distance_m) in {"train": (14, 1.5, 2.6), "test": (10, 1.2, 2.2)}.items():
         walk = folder / "captures" / "Room" / session
