@@ -204,6 +204,13 @@ def to_number(value: Any, name: str) -> float:
         raise BadRow(f"{name} is no number") from None
 
 
+def to_pixels(value: float) -> int:
+    """An image's width or height; BadRow where the number can't be one."""
+    if not 0 < value < 1e6:
+        raise BadRow(f"image size {value} is none")
+    return int(value)
+
+
 def seconds_to_ns(seconds: float, name: str = "time") -> int:
     """Seconds as int64 nanoseconds; BadRow where they aren't finite or don't fit."""
     ns = seconds * 1e9

@@ -44,6 +44,8 @@ class Run:
     folder: Path
     checkpoint_s: float = 60.0
     """least time between two checkpoints"""
+    unit: str = "m"
+    """of lengths, in words for the user"""
 
 
 class Source(Protocol):
@@ -181,7 +183,8 @@ def train(
             state = {"model": model.state_dict(), "optimiser": optimiser.state_dict()}
             save(run.folder / CHECKPOINT, {**state, "history": history, "best": best})
             saved_at = time.monotonic()
-        report(epoch + 1, f"{run.title} {row['val_position_m']:.2f} m, {row['val_rotation_deg']:.1f} deg")
+        position = row["val_position_m"]
+        report(epoch + 1, f"{run.title} {position:.2f} {run.unit}, {row['val_rotation_deg']:.1f} deg")
 
 
 def train_epoch(

@@ -215,7 +215,7 @@ def prepare(r: StageRun[TrainSettings], name: str, data: Frames, frames: pd.Data
         save(folder / _FIRST, {"origin": origin, "state": model.state_dict()})
     origin = torch.load(folder / _FIRST)["origin"]
     r.say(f"{name}: trains in {WORDS[precision]}; first weights: {origin}")
-    run = Run(name, device, precision, view, r.seed, folder)
+    run = Run(name, device, precision, view, r.seed, folder, unit=r.map_unit(r.leaves[0]).symbol)
     return Job(settings, r.leaves, outdoor, training, held_out, run, origin)
 
 

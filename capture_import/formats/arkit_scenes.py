@@ -21,13 +21,13 @@ from groundwalk.capture_import.image_files import images_in
 from groundwalk.capture_import.joining import join_by_time
 from groundwalk.capture_import.parsing import (
     YUP_T_ZUP,
-    BadRow,
     lines_of,
     read_rows,
     read_text,
     seconds_to_ns,
     split_numbers,
     to_number,
+    to_pixels,
 )
 from groundwalk.geometry.poses import inverse, make_pose
 from groundwalk.store.choices import Clock, PoseSource
@@ -59,16 +59,14 @@ def _read_pose(number: int, source: str, line: str) -> RawFrame:
 
 def _read_image(number: int, source: str, image: Path) -> RawFrame:
     camera = image.parent.with_name(f"{image.parent.name}_intrinsics") / f"{image.stem}.pincam"
-    values = split_numbers(read_text(camera))
-    if len(values) != 6 or not all(0 < size < 1e6 for size in values[:2]):
-        raise BadRow(f"{camera.name} isn't width, height, fx, fy, cx, cy")
+    width, height, *fx_fy_cx_cy = split_numbers(read_text(camera), 6)
     return RawFrame(
         number=number,
         source=source,
         t_ns=seconds_to_ns(to_number(image.stem.rpartition("_")[2], "name")),
         vio_T_cam=None,
         image=ImageFile(image),
-        intrinsics=Intrinsics.of(values[2:], width=int(values[0]), height=int(values[1])),
+        intrinsics=Intrinsics.of(fx_fy_cx_cy, to_pixels(width), to_pixels(height)),
         depth=DepthFile.if_there(*(image.parents[1] / kind / image.name for kind in ("lowres_depth", "confidence"))),
     )
 

@@ -30,6 +30,7 @@ from groundwalk.capture_import.parsing import (
     seconds_to_ns,
     split_numbers,
     to_number,
+    to_pixels,
     yaml_numbers,
 )
 from groundwalk.store import UserError
@@ -67,7 +68,7 @@ def read(path: Path, limits: Limits) -> Recording:
 
 def _intrinsics(text: str) -> Intrinsics:
     fx, fy, cx, cy = yaml_numbers(text, "intrinsics", 4)
-    width, height = (int(size) for size in yaml_numbers(text, "resolution", 2))
+    width, height = (to_pixels(size) for size in yaml_numbers(text, "resolution", 2))
     distortion = tuple(yaml_numbers(text, "distortion_coefficients", 4))
     if re.search(r"^distortion_model:\s*equidistant", text, re.M):
         return fisheye_intrinsics((fx, fy, cx, cy), width, height, distortion)

@@ -24,6 +24,7 @@ from groundwalk.capture_import.parsing import (
     read_text,
     seconds_to_ns,
     split_numbers,
+    to_pixels,
     yaml_numbers,
 )
 from groundwalk.store.choices import Clock, PoseSource
@@ -71,9 +72,7 @@ def _camera(file: Path) -> Intrinsics:
     distortion = yaml_numbers(text, "distortion_coefficients")
     if len(distortion) < 4:
         raise BadRow(f"{file.name} has {len(distortion)} distortion_coefficients, not 4 or more")
-    if not (0 < width < 1e6 and 0 < height < 1e6):
-        raise BadRow(f"{file.name}: image_width or image_height is no size")
-    return Intrinsics(fx, fy, cx, cy, int(width), int(height), tuple(distortion) if any(distortion) else ())
+    return Intrinsics(fx, fy, cx, cy, to_pixels(width), to_pixels(height), tuple(distortion) if any(distortion) else ())
 
 
 FORMAT = Format(

@@ -28,6 +28,7 @@ from groundwalk.capture_import.parsing import (
     read_rows,
     seconds_to_ns,
     to_number,
+    to_pixels,
 )
 from groundwalk.store.choices import Clock, Tracking
 
@@ -68,16 +69,10 @@ def _read_row(number: int, source: str, line: str) -> RawFrame:
         source=source,
         t_ns=seconds_to_ns(us * 1e-6),
         vio_T_cam=from_arkit(quaternion_pose([tx, ty, tz], [qx, qy, qz, qw])),
-        intrinsics=Intrinsics(fx, fy, cx, cy, _pixels(width), _pixels(height)),
+        intrinsics=Intrinsics(fx, fy, cx, cy, to_pixels(width), to_pixels(height)),
         tracking=_tracking(fields[1]),
         exposure_s=exposure[0] * 1e-6 if exposure else None,
     )
-
-
-def _pixels(value: float) -> int:
-    if not 0 < value < 1e6:
-        raise BadRow(f"image size {value} is none")
-    return int(value)
 
 
 def _tracking(status: str) -> Tracking:
