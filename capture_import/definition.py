@@ -7,7 +7,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="import",
-    version=19,
+    version=20,
     settings=ImportSettings,
     needs=(),
     run=Lazy("groundwalk.capture_import.stage:run"),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from groundwalk.store.text import natural_order
 
-# HEIC isn't read: such an image is a reject by its content, which says how to convert it.
+# HEIC is read where its decoder is installed; else such an image is a reject, which says what to do.
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif")
 
 

@@ -1,6 +1,8 @@
 """Images of unknown origin: full decode check, size, sharpness, hash, and their bytes without metadata."""
 
+import contextlib
 import hashlib
+import io
 import struct
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,11 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import ImageCheck
+
+with contextlib.suppress(ImportError):  # the user's choice: groundwalk[heic]
+    import pillow_heif
+
+    pillow_heif.register_heif_opener()
 
 Gray = NDArray[np.uint8]
 
@@ -32,7 +39,7 @@ class BadImage(ValueError):
 def check_image(data: bytes, max_megapixels: float) -> ImageCheck:
     """Decode an image wholly and measure it.
 
-    Raises BadImage for one that is empty, no JPEG or PNG, larger than the limit, truncated or corrupt.
+    Raises BadImage for one that is empty, no JPEG, PNG or HEIC, larger than the limit, truncated or corrupt.
     """
     width, height = image_size(data)
     if width * height > max_megapixels * 1e6:
@@ -48,7 +55,7 @@ def measured(gray: Gray, width: int, height: int, sha256: str = "", content_sha2
 
 
 def image_size(data: bytes) -> tuple[int, int]:
-    """(width, height) from the header of a JPEG or PNG; BadImage where there is none."""
+    """(width, height) from the header of a JPEG or PNG, or of a whole HEIC; BadImage where there is none."""
     if not data:
         raise BadImage("image is empty")
     if data.startswith(_JPEG_SIGNATURE):
@@ -60,9 +67,26 @@ def image_size(data: bytes) -> tuple[int, int]:
     if data.startswith(_PNG_SIGNATURE) and len(data) >= 33:
         width, height = struct.unpack(">II", data[16:24])
         return int(width), int(height)
-    if data[4:8] == b"ftyp":
-        raise BadImage("image is HEIC, which isn't read: convert it (macOS: sips -s format jpeg; else heif-convert)")
+    if is_heic(data):
+        return _opened_heic(data).size
     raise BadImage("image is neither JPEG nor PNG")
+
+
+def is_heic(start: bytes) -> bool:
+    """Whether an image that begins so is one of HEIC's family, which no other stage reads."""
+    return start[4:8] == b"ftyp"
+
+
+def _opened_heic(data: bytes, colours: str = "") -> PIL.Image.Image:
+    """A HEIC image, turned as it says, and decoded where colours are named."""
+    if "HEIF" not in PIL.Image.OPEN:
+        how = "pip install 'groundwalk[heic]', or convert it (macOS: sips -s format jpeg; else heif-convert)"
+        raise BadImage(f"image is HEIC, which needs a decoder: {how}")
+    try:
+        image = PIL.Image.open(io.BytesIO(data), formats=("HEIF",))
+        return image.convert(colours) if colours else image
+    except (OSError, ValueError, SyntaxError, EOFError, RuntimeError, PIL.Image.DecompressionBombError):
+        raise BadImage("image is broken: the HEIC can't be decoded") from None
 
 
 def exif_orientation(path: Path) -> int:
@@ -81,6 +105,8 @@ def decode_rgb(data: bytes, long_side: int) -> NDArray[np.uint8]:
     width, height = image_size(data)
     if data.startswith(_JPEG_SIGNATURE):
         image = _decode_jpeg(data, "RGB", width, height, long_side)
+    elif is_heic(data):
+        image = np.asarray(_opened_heic(data, "RGB"))
     else:
         image = cv2.cvtColor(_decode_png(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
     return shrunk(image, long_side)
@@ -162,6 +188,8 @@ def decode_gray(data: bytes, long_side: int) -> Gray:
     width, height = image_size(data)
     if data.startswith(_JPEG_SIGNATURE):
         image = _decode_jpeg(data, "GRAY", width, height, long_side)[:, :, 0]
+    elif is_heic(data):
+        image = np.asarray(_opened_heic(data, "L"))
     else:
         image = _decode_png(data, cv2.IMREAD_GRAYSCALE)
     return shrunk(image, long_side)

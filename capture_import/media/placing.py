@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import Image, ImageFile, PlacedImage, VideoFrame
 from groundwalk.capture_import.media.blurring import Detector, Region, blur_people
-from groundwalk.capture_import.media.images import decode_rgb, encode_jpeg, without_metadata
+from groundwalk.capture_import.media.images import decode_rgb, encode_jpeg, is_heic, without_metadata
 from groundwalk.capture_import.media.placement import Placement
 from groundwalk.capture_import.media.upright import turned_pixels
 from groundwalk.capture_import.media.video import decode, rgb_pixels
@@ -21,9 +21,9 @@ def place_images(
 ) -> list[PlacedImage]:
     """Place a session's selected images, in order.
 
-    Frames of a video, images from an archive, and images that are turned or blurred are always written to the artefact,
-    without metadata; other files of the capture folder are left there, or copied. `detect` finds what is to be blurred,
-    in images that `to_upright` quarter turns clockwise put upright.
+    Frames of a video, images from an archive or in HEIC, and images that are turned or blurred are always written to
+    the artefact, without metadata; other files of the capture folder are left there, or copied. `detect` finds what is
+    to be blurred, in images that `to_upright` quarter turns clockwise put upright.
     """
 
     def rendered(rgb: NDArray[np.uint8], quarters: int) -> tuple[NDArray[np.uint8], list[Region]]:
@@ -43,10 +43,12 @@ def place_images(
         ref = image.frame.image
         assert isinstance(ref, ImageFile)  # a recording has files or a video, never both
         regions: list[Region] = []
-        is_turned = where.quarters or image.frame.quarters
-        if is_turned or detect is not None:
+        with ref.path.open("rb") as file:
+            is_heic_file = is_heic(file.read(12))
+        is_changed = where.quarters or image.frame.quarters or is_heic_file
+        if is_changed or detect is not None:
             rgb, regions = rendered(decode_rgb(ref.path.read_bytes(), long_side=2**31), image.frame.quarters)
-            if is_turned or regions:
+            if is_changed or regions:
                 return placed(written(image, encode_jpeg(rgb), ".jpg"), regions)
         if where.stays(ref.path):
             return placed((ref.path.relative_to(where.root).as_posix(), image.check.sha256), regions)

@@ -3,6 +3,7 @@
 import io
 from datetime import datetime, timedelta
 from fractions import Fraction
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -134,11 +135,35 @@ def test_what_is_no_photo_is_named(tmp_path: Path) -> None:
         "Screenshot.png": "a screenshot",
         "pano.jpg": "is a panorama",
         "selfie.jpg": "mirrored",
-        "IMG_9.HEIC": "convert it",
+        "IMG_9.HEIC": "the HEIC can't be decoded" if find_spec("pillow_heif") else "convert it",
         "empty.jpg": "image is empty",
     }.items():
         assert part in reasons.pop(name)
     assert not reasons and any("1 videos" in note for note in raw.notes)
+
+
+def test_heic_is_read_upright_and_written_as_jpeg(tmp_path: Path) -> None:
+    pytest.importorskip("pillow_heif", reason="pillow-heif isn't installed (groundwalk[heic])")
+    place = tmp_path / "captures" / "place"
+    place.mkdir(parents=True)
+    exif = PIL.Image.Exif()
+    exif[BASE.Model], exif[BASE.Orientation] = "SecretPhone", 6
+    exif.get_ifd(PIL.ExifTags.IFD.Exif)[BASE.FocalLengthIn35mmFilm] = 26
+    for n in range(4):
+        picture = PIL.Image.fromarray(np.ascontiguousarray(np.rot90(image(n, WIDTH, HEIGHT)[..., ::-1])))
+        picture.save(place / f"IMG_{n}.{'HEIC' if n else 'jpg'}", format="HEIF", exif=exif.tobytes(), quality=95)
+    (place / "IMG_9.HEIC").write_bytes((place / "IMG_1.HEIC").read_bytes()[:900])
+    tables = imported(tmp_path)
+    frames = tables["frames"]
+    assert len(frames) == 4 and set(zip(frames["width"], frames["height"], strict=True)) == {(WIDTH, HEIGHT)}
+    assert frames["fx"].to_numpy() == pytest.approx(26 * np.hypot(WIDTH, HEIGHT) / np.hypot(36, 24))
+    assert "IMG_9.HEIC" in tables["rejects"]["source"][0]
+    run = tmp_path / "runs" / "tiny" / "place" / "import"
+    for n, name in enumerate(frames["image"]):
+        data = (run / name.removeprefix("import:")).read_bytes()
+        assert data.startswith(b"\xff\xd8") and b"Secret" not in data
+        shown = there(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR))
+        assert np.abs(shown.astype(float) - image(n, WIDTH, HEIGHT)).mean() < 25
 
 
 @pytest.mark.parametrize("name", ["images", "input", "frames", "photos", "."])
