@@ -21,6 +21,7 @@ from groundwalk.alignment.depth import agreement_table as depth_table
 from groundwalk.alignment.depth import has_depth, sample_frames
 from groundwalk.alignment.drift import ALL
 from groundwalk.alignment.ground_truth import AlignResult, build, camera_sd, poses_in_map
+from groundwalk.alignment.held import in_map_before, refusal_of_added, versions_table, with_rows_before
 from groundwalk.alignment.plot import draw_checks
 from groundwalk.alignment.recording import blueprint, camera_length_m, log_frames, log_models, log_sessions
 from groundwalk.alignment.reference.agreement import describe_agreement
@@ -60,6 +61,8 @@ def run(r: StageRun[AlignSettings]) -> None:
     for check in ruler_checks:
         r.say(describe_ruler(check))
     r.write("rulers", rulers_table(ruler_checks))
+    if r.before is not None and r.holds:
+        checked = in_map_before(checked, frames, images, r.before)
     _stop_if_refused(r, checked, frames)
     with r.step("depth"):
         depth, depth_checks = _check_by_depth(r, frames, images, checked)
@@ -69,6 +72,11 @@ def run(r: StageRun[AlignSettings]) -> None:
         checked = replace(checked, checks=[*checked.checks, *_check_by_control(r, frames, images, checked)])
     with r.step("align"):
         result = build(frames, images, checked, reference)
+        if r.before is not None and r.holds:
+            result = with_rows_before(result, r.before)
+        versions = versions_table(result.ground_truth, r.before if r.holds else None)
+        r.write("versions", versions)
+        r.figure("version", int(versions["version"].max()))
     for table in _TABLES:
         r.write(table, getattr(result, table))
     registered, frames = int(dataset.frames.registered.sum()), dataset_frames(frames)
@@ -99,7 +107,10 @@ def _read(r: StageRun[AlignSettings]) -> AlignInputs:
 
 def _stop_if_refused(r: StageRun[AlignSettings], checked: CheckedMap, frames: pd.DataFrame) -> None:
     """UserError where there is no ground truth; the checks' table and plot are left to look at."""
-    error = refusal(checked, frames, r.settings)
+    if r.before is not None and r.holds:
+        error = refusal_of_added(checked, frames, r.settings, r.before)
+    else:
+        error = refusal(checked, frames, r.settings)
     if error is not None:
         r.write("checks", checks_table(checked.checks))
         error.details["do"] = f"look at {r.work / CHECKS_PLOT}; {error.details['do']}"

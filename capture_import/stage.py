@@ -17,6 +17,7 @@ from groundwalk.capture_import.checks.gravity import STATE_GRAVITY, check_gravit
 from groundwalk.capture_import.checks.near_copies import MAX_FRACTION, find_near_copies
 from groundwalk.capture_import.checks.plausibility import MAX_SPEED_M_S, plausibility_faults
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
+from groundwalk.capture_import.held import held_frames
 from groundwalk.capture_import.media.blurring import CascadeDetector, Detector
 from groundwalk.capture_import.media.depth import place_depths
 from groundwalk.capture_import.media.placement import Placement
@@ -90,6 +91,8 @@ def run(r: StageRun[ImportSettings]) -> None:
         split = split_frames(dataset, r.scene.split, settings.split_by == "time")
         frames["split"] = nearest_split(frames, dataset.assign(split=split.of_frame))
         frames = frames[frames["split"] != "unused"].reset_index(drop=True)
+        if r.before is not None:
+            frames = held_frames(r, frames)
         frames_of = {s.session_id: frames[frames["session_id"] == s.session_id] for s in sessions}
         session_rows = sessions_table(
             sessions, frames_of, appearances_of(root), origin, reference_is_metric=settings.reference_is_metric

@@ -62,6 +62,8 @@ COMMANDS = {
         Command("judge", "Say which frames of a capture can be trusted: a page.", "commands", "judge"),
         Command("run", "Run all stages of a scene in order, as far as needed.", "commands", "run"),
         Command("campaign", "Run many scenes, on this machine or a cluster.", "campaign"),
+        Command("add", "Add a recording to a finished ground truth.", "adding", "add"),
+        Command("remove", "Take a recording out of a ground truth.", "adding", "remove"),
         Command("compare", "Compare runs: settings, and figures beyond noise.", "commands", "compare"),
         Command("scenes", "List scenes, profiles and finished stages.", "commands", "scenes"),
         Command(

@@ -1,6 +1,8 @@
 """COLMAP's database of a scene: a camera for each frame, and the results of extraction and matching."""
 
-from collections.abc import Mapping, Sequence
+import contextlib
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -79,6 +81,45 @@ def create_database(
             database.write_frame(colmap_frame, use_frame_id=True)
             database.write_image(image, use_image_id=True)
     partial.replace(path)
+
+
+def is_sound(path: Path) -> bool:
+    """Whether SQLite can read a database."""
+    try:
+        with contextlib.closing(sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)) as opened:
+            return opened.execute("PRAGMA quick_check(1)").fetchone() == ("ok",)
+    except sqlite3.DatabaseError:
+        return False
+
+
+def copy_features(source: Path, target: Path) -> None:
+    """Copy keypoints and descriptors of images that have the same name in both databases."""
+    with _opened(source, target) as (old, new, id_of):
+        for old_id, new_id in id_of.items():
+            new.write_keypoints(new_id, old.read_keypoints(old_id))
+            new.write_descriptors(new_id, old.read_descriptors(old_id))
+
+
+def copy_matches(source: Path, target: Path) -> None:
+    """Copy the matches, verified or not, that `target` lacks of images that have the same name in both databases."""
+    with _opened(source, target) as (old, new, id_of):
+        for pair_id in old.read_num_matches()[0]:
+            a, b = pycolmap.pair_id_to_image_pair(pair_id)
+            if a in id_of and b in id_of and not new.exists_matches(id_of[a], id_of[b]):
+                new.write_matches(id_of[a], id_of[b], old.read_matches(a, b))
+
+
+@contextlib.contextmanager
+def _opened(source: Path, target: Path) -> Iterator[tuple[pycolmap.Database, pycolmap.Database, dict[int, int]]]:
+    """Both databases, and the ids in `target` of those images of `source` whose names it has."""
+    with (
+        pycolmap.Database.open(source) as old,
+        pycolmap.Database.open(target) as new,
+        pycolmap.DatabaseTransaction(new),
+    ):
+        id_of_name = {image.name: image.image_id for image in new.read_all_images()}
+        ids = {image.image_id: id_of_name.get(image.name) for image in old.read_all_images()}
+        yield old, new, {old_id: new_id for old_id, new_id in ids.items() if new_id is not None}
 
 
 def read_descriptors(path: Path, count: int) -> list[NDArray[np.uint8]]:

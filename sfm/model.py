@@ -90,6 +90,32 @@ class Model:
         return angles
 
 
+def renumbered(folder: Path, names: Sequence[str]) -> pycolmap.Reconstruction:
+    """A COLMAP model with the ids that `create_database` gives its images among frames of these names; images that
+    aren't among them are left out, and so are the points that fewer than two of the others see."""
+    source, model = pycolmap.Reconstruction(folder), pycolmap.Reconstruction()
+    row_of = {name: row for row, name in enumerate(names)}
+    id_of = {i: image_id(row_of[name]) for i in source.reg_image_ids() if (name := source.image(i).name) in row_of}
+    for old_id, new_id in id_of.items():
+        image = source.image(old_id)
+        camera = source.camera(image.camera_id)
+        camera.camera_id = new_id
+        model.add_camera_with_trivial_rig(camera)
+        keypoints = np.array([p.xy for p in image.points2D]).reshape(-1, 2)
+        moved = pycolmap.Image(name=image.name, keypoints=keypoints, camera_id=new_id, image_id=new_id)
+        model.add_image_with_trivial_frame(moved, image.cam_from_world())
+    for point_id, point in source.points3D.items():
+        seen = [(id_of[e.image_id], e.point2D_idx) for e in point.track.elements if e.image_id in id_of]
+        if len({i for i, _ in seen}) > 1:
+            track = pycolmap.Track([pycolmap.TrackElement(*element) for element in seen])
+            model.add_point3D_with_id(
+                point_id, pycolmap.Point3D(xyz=point.xyz, color=point.color, error=point.error, track=track)
+            )
+            for i, feature in seen:
+                model.image(i).set_point3D_for_point2D(feature, point_id)
+    return model
+
+
 def load_models(folders: Sequence[Path], frames: int) -> Model:
     """COLMAP models, of a database made by `create_database` for so many frames, none of which is in two models."""
     sfm_T_cam, model = np.full((frames, 4, 4), np.nan), np.full(frames, -1)

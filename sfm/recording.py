@@ -14,9 +14,9 @@ from groundwalk.geometry.fits import rotation_to_up
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
 from groundwalk.sfm.model import Model
-from groundwalk.sfm.pairs.matched import are_verified, rows_of
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import StageRun
+from groundwalk.store.choices import PairStatus
 from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED
 from groundwalk.store.parallel import in_parallel
 from groundwalk.store.recording import UP_AXIS, log_camera, log_path
@@ -29,7 +29,7 @@ _IMAGE_SIDE = 480
 _FRUSTUM = 0.5  # in median steps
 
 
-def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, matched: pd.DataFrame) -> None:
+def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, pairs_table: pd.DataFrame) -> None:
     """Write recording.rrd: the models upright and side by side, and frame by frame what each image sees of them."""
     registered = np.flatnonzero(model.registered)
     model = _side_by_side(model, poses_of(frames, "vio_cam"))
@@ -43,7 +43,9 @@ def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model
             frame = frames.iloc[row]
             path = f"sfm/cameras/{frame.frame_id}"
             log_camera(stream, path, model.sfm_T_cam[row], frame, NEUTRAL, _FRUSTUM, static=True)
-        pairs = rows_of(matched)[are_verified(matched)]
+        verified = pairs_table[pairs_table["status"] == PairStatus.VERIFIED]
+        row_of = pd.Series(range(len(frames)), frames["frame_id"])
+        pairs = np.column_stack([row_of[verified[f"frame_id_{end}"]] for end in "ab"])
         pairs = pairs[model.registered[pairs].all(axis=1)]
         lines = rr.LineStrips3D(list(centres[pairs]), colors=NEUTRAL, radii=rr.Radius.ui_points(0.5))
         stream.log("sfm/pairs", lines, static=True)

@@ -1,6 +1,7 @@
 """What the stage works on: images, VIO, features, and cameras before a model adjusts them."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,15 @@ from groundwalk.sfm.cameras.calibration import (
 from groundwalk.sfm.cameras.focal_lengths import ESTIMATED_SD, estimate_focal_lengths, sample_unstated
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log
 from groundwalk.sfm.cameras.motion import motion_by_vio
-from groundwalk.sfm.database import create_database, image_name, keypoint_counts
+from groundwalk.sfm.database import (
+    copy_features,
+    copy_matches,
+    create_database,
+    image_name,
+    is_sound,
+    keypoint_counts,
+)
+from groundwalk.sfm.mapping.attempts import more_features
 from groundwalk.sfm.pairs.candidates import unique_pairs
 from groundwalk.sfm.pairs.features import extract_features, features_name
 from groundwalk.sfm.pairs.odometry import Odometry, odometry
@@ -26,10 +35,12 @@ from groundwalk.sfm.settings import SfmSettings
 from groundwalk.sfm.workspace import Workspace
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.child import Task
-from groundwalk.store.choices import Tracking
-from groundwalk.store.files import write_json
+from groundwalk.store.choices import AttemptName, Tracking
+from groundwalk.store.files import write_json, written_aside
 from groundwalk.store.hints import run_command
-from groundwalk.store.tables import poses_of
+from groundwalk.store.manifests import FEATURES
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import poses_of, read_table
 
 _MIN_FRAMES = 3
 
@@ -110,8 +121,11 @@ def extracted_features(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Wor
     database = work.scratch / f"features{features_name(settings)}.db"
     if not database.is_file():
         partial = database.with_suffix(".partial.db")
+        is_begun = partial.is_file()
         create_database(partial, frames, work.names)
         with r.step("features"):
+            if not is_begun and (kept := kept_features(r, settings)):
+                copy_features(kept, partial)
             task = Task(extract_features, (partial, work.images, work.names, settings), len(frames))
             work.in_child("extracting features", task)
         partial.replace(database)
@@ -162,4 +176,33 @@ def calibrated_features(
     with r.step("features"):
         if not database.is_file():
             write_calibrated_database(features, database, frames, work.names, cameras.calibration, cameras.motion)
+            if kept := kept_features(r, settings):
+                copy_matches(kept, database)
     return database
+
+
+def kept_settings(r: StageRun[SfmSettings]) -> SfmSettings:
+    """The settings of the features that the run before this one has kept."""
+    assert r.before is not None
+    attempts = read_table(r.before / "attempts.parquet", schema("sfm", "attempts"))
+    had_more = AttemptName.MORE_FEATURES in set(attempts.loc[attempts["selected"], "attempt"])
+    return r.settings.model_copy(update=more_features(r.settings)) if had_more else r.settings
+
+
+def kept_features(r: StageRun[SfmSettings], settings: SfmSettings) -> Path | None:
+    """A copy of the features and matches that the run before this one has kept, where they are by these settings."""
+    if r.before is None or features_name(settings) != features_name(kept_settings(r)):
+        return None
+    path, copy = r.before / FEATURES, r.scratch / "kept.db"
+    if path.is_file() and not copy.is_file():
+        with written_aside(copy) as partial:  # SQLite writes beside any database that it opens
+            shutil.copyfile(path, partial)
+    return copy if copy.is_file() and is_sound(copy) else None
+
+
+def keep_features(r: StageRun[SfmSettings], work: Workspace, settings: SfmSettings) -> None:
+    """Leave the features by these settings, and all matches, for runs that add recordings or take some out."""
+    partial, name = r.work / f"{FEATURES}.partial", features_name(settings)
+    shutil.copyfile(work.scratch / f"features{name}.db", partial)
+    copy_matches(work.scratch / f"database{name}.db", partial)
+    partial.replace(r.work / FEATURES)

@@ -1,14 +1,19 @@
 """The sfm stage: import's frames in, COLMAP models over all sessions out, one where the images allow it."""
 
 import shutil
+from collections.abc import Sequence
 
 import numpy as np
 
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.cameras.adjustment import Adjusted, Ints
 from groundwalk.sfm.cameras.calibration import with_lenses
 from groundwalk.sfm.cameras.model_adjustment import cameras_of_frames, load_adjusted
+from groundwalk.sfm.extension import HeldArtefact, refuse_misfit
 from groundwalk.sfm.mapping.attempts import Attempt, run_attempts
 from groundwalk.sfm.mapping.build import build_models
-from groundwalk.sfm.mapping.built import read_built, selected_models
+from groundwalk.sfm.mapping.built import BuiltModel, read_built, selected_models
+from groundwalk.sfm.mapping.extending import extend_models
 from groundwalk.sfm.mapping.held_out import VerifiedPairs, held_out_check, read_matches
 from groundwalk.sfm.messages import (
     report_attempts,
@@ -21,7 +26,7 @@ from groundwalk.sfm.messages import (
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.pairs.floor import FloorSource
 from groundwalk.sfm.pairs.matched import are_verified, checkpoint, rows_of
-from groundwalk.sfm.pairs.odometry import motions_over
+from groundwalk.sfm.pairs.odometry import Odometry, motions_over
 from groundwalk.sfm.pairs.selection import pairs_by_images, pairs_within_sessions
 from groundwalk.sfm.pairs.verification import (
     compared_with_neighbours,
@@ -39,6 +44,8 @@ from groundwalk.sfm.scene_input import (
     calibrated_cameras,
     calibrated_features,
     extracted_features,
+    keep_features,
+    kept_settings,
     linked_images,
     odometry_of,
     with_focal_lengths,
@@ -61,6 +68,7 @@ _IN_CHILDREN = (
     "groundwalk.sfm.cameras.calibration",
     "groundwalk.sfm.cameras.focal_lengths",
     "groundwalk.sfm.mapping.build",
+    "groundwalk.sfm.mapping.extending",
     "groundwalk.sfm.pairs.features",
     "groundwalk.sfm.pairs.neighbours",
 )
@@ -73,12 +81,17 @@ _MAX_COVARIANCE_FRAMES = 2500
 def run(r: StageRun[SfmSettings]) -> None:
     preload(*_IN_CHILDREN)
     frames, sessions = r.read("import", "frames"), r.read("import", "sessions")
+    held = HeldArtefact.of(r.before, frames) if r.before is not None and r.holds else None
+    is_new = np.ones(len(frames), bool) if held is None else held.is_new
     work = linked_images(r, frames)
-    frames = with_focal_lengths(r, frames, work)
     pose_source = frames["session_id"].map(sessions.set_index("session_id")["pose_source"])
     is_alone = (pose_source == PoseSource.NONE).to_numpy(bool)
     vio = odometry_of(frames, r.read("import", "jumps"), sessions)
-    cameras = calibrated_cameras(r, frames, sessions, vio, work)
+    if held is None:
+        frames = with_focal_lengths(r, frames, work)
+        cameras = calibrated_cameras(r, frames, sessions, vio, work)
+    else:
+        frames, cameras = held.cameras(r, frames, sessions, vio, work)
     frames = with_lenses(frames, cameras.calibration)
 
     def attempt(number: int, name: AttemptName, settings: SfmSettings) -> Attempt:
@@ -96,7 +109,7 @@ def run(r: StageRun[SfmSettings]) -> None:
             compared = checkpoint(
                 steps / "compared.parquet",
                 lambda: compared_with_vio(
-                    match_proposals(settings, vio, proposals, database, work, r.seed), vio, database
+                    match_proposals(settings, vio, proposals, database, work, r.seed, is_new), vio, database
                 ),
             )
             floor = checkpoint(
@@ -112,18 +125,22 @@ def run(r: StageRun[SfmSettings]) -> None:
         folder = work.scratch / f"mapping_{number}"
         with r.step("mapping"):
             is_verified = are_verified(matched)
-            if is_verified.any() and not folder.is_dir():
+            if (is_verified.any() or held is not None) and not folder.is_dir():
                 verified = rows_of(matched)[is_verified]
                 pairs = VerifiedPairs(frames=frames, pairs=verified, matched=database, features=features)
                 mapping_input = MappingInput(folder.with_suffix(".db"), work.images, r.seed)
-                task = Task(build_models, (pairs, mapping_input, cameras, settings, folder), len(frames))
+                arguments = (pairs, mapping_input, cameras, settings, folder)
+                task = Task(build_models, arguments, len(frames))
+                if held is not None:
+                    task = Task(extend_models, ((held.folder, held.models), *arguments), int(is_new.sum()))
                 work.in_child("mapping", task)
             built = read_built(folder) if folder.is_dir() else []
         model, consistent, fault = None, np.zeros(len(frames), bool), ""
         with r.step("check"):
             if selected := selected_models(built):
                 model = load_models([folder / one.folder for one in selected], len(frames))
-                consistent, fault = check_models(model.sfm_T_cam, model.model, vio)
+                consistent, fault = check_models(model.sfm_T_cam, np.where(is_new, model.model, -1), vio)
+                consistent |= model.registered & ~is_new
         return Attempt(
             name=name,
             settings=settings,
@@ -136,47 +153,70 @@ def run(r: StageRun[SfmSettings]) -> None:
             input_fault=fault,
         )
 
-    attempts, best = run_attempts(r.settings, attempt, r.say)
+    if held is None:
+        attempts, best = run_attempts(r.settings, attempt, r.say)
+    else:
+        attempts = [best := attempt(0, AttemptName.ADDED, kept_settings(r))]
+        refuse_misfit(best, is_new, frames)
     report_attempts(r, attempts, best, len(frames))
     assert best.model is not None  # otherwise that was an error
-    model, matched, selected = best.model, best.matched, best.selected
+    model, selected = best.model, best.selected
+    adjusted_models = [one for one in selected if (best.folder / f"{one.folder}.npz").is_file()]
 
     with r.step("quality"):
-        adjusted = [load_adjusted(best.folder / f"{one.folder}.npz") for one in selected]
-        estimates: list[Covariances | None] = []
-        covariance, motion_sd = np.full((len(frames), 6, 6), np.nan), np.full(len(frames), np.nan)
-        for one, (bundle, rows) in zip(selected, adjusted, strict=True):
-            estimate, motions = None, motions_over(vio.session[rows], vio.travelled_m[rows], _MOTION_M)
-            if one.images > _MAX_COVARIANCE_FRAMES:
-                r.say(f"model {one.model_id}: no covariances of more than {_MAX_COVARIANCE_FRAMES} frames")
-            elif (estimate := covariances(bundle, motions)) is None:
-                r.say(f"model {one.model_id}: no covariances: too few points")
-            else:
-                covariance[rows] = estimate.poses
-                for ends in motions.T:
-                    np.fmax.at(motion_sd, rows[ends], estimate.motions)
-                report_coherence(r, one, estimate)
-            estimates.append(estimate)
+        adjusted = [load_adjusted(best.folder / f"{one.folder}.npz") for one in adjusted_models]
+        estimates, covariance, motion_sd = _covariances(r, vio, adjusted_models, adjusted)
+        if held is not None:
+            covariance += held.covariance_by_map(model)
         finished = cameras_of_frames(cameras, adjusted)
         held_out = held_out_check(read_matches(best.mapping_input), finished, model.sfm_T_cam, model.model)
 
     frame_ids = list(frames["frame_id"])
     images = images_table(frame_ids, best, cameras, finished, held_out, covariance, motion_sd)
-    r.write("images", images)
-    r.write("models", models_table(best.built, held_out))
-    lenses, intrinsics = camera_tables(cameras, selected, adjusted, estimates)
-    intrinsics = with_focal_steps(intrinsics, frames, images)
-    r.write("lenses", lenses)
-    r.write("intrinsics", intrinsics)
-    r.write("attempts", attempts_table(attempts, best))
-    r.write("pairs", pairs_table(frame_ids, matched))
-    r.write("points", points_table(model, selected))
+    lenses, intrinsics = camera_tables(cameras, adjusted_models, adjusted, estimates)
+    tables = {
+        "images": images,
+        "models": models_table(best.built, held_out),
+        "lenses": lenses,
+        "intrinsics": with_focal_steps(intrinsics, frames, images),
+        "attempts": attempts_table(attempts, best),
+        "pairs": pairs_table(frame_ids, best.matched),
+        "points": points_table(model, selected),
+    }
+    known = held.tables if held is not None else {}
+    if held is not None:
+        tables = held.with_rows(tables)
+    for name, table in tables.items():
+        r.write(name, table)
     for one in selected:
         shutil.copytree(best.folder / one.folder, r.work / one.folder, dirs_exist_ok=True)
     with r.step("recording"):
-        write_recording(r, with_cameras(frames, images), model, matched)
+        write_recording(r, with_cameras(frames, tables["images"]), model, tables["pairs"])
+    keep_features(r, work, best.settings)
 
-    report_models(r, best, held_out, images["not_registered"])
-    report_excluded_pairs(r, matched, vio)
-    report_cameras(r, lenses, intrinsics, frames)
+    report_models(r, best, held_out, tables["images"]["not_registered"])
+    report_excluded_pairs(r, best.matched, vio)
+    of_new = {name: tables[name].iloc[len(known.get(name, ())) :] for name in ("lenses", "intrinsics")}
+    report_cameras(r, of_new["lenses"], of_new["intrinsics"], frames)
     report_motion(r, frames, cameras.motion)
+
+
+def _covariances(
+    r: StageRun[SfmSettings], vio: Odometry, models: Sequence[BuiltModel], adjusted: Sequence[tuple[Adjusted, Ints]]
+) -> tuple[list[Covariances | None], Array, Array]:
+    """Of each model, None where there are none; and of all N frames, (N, 6, 6), and sds of their motions (N,), NaN."""
+    estimates: list[Covariances | None] = []
+    covariance, motion_sd = np.full((len(vio.session), 6, 6), np.nan), np.full(len(vio.session), np.nan)
+    for one, (bundle, rows) in zip(models, adjusted, strict=True):
+        estimate, motions = None, motions_over(vio.session[rows], vio.travelled_m[rows], _MOTION_M)
+        if len(rows) > _MAX_COVARIANCE_FRAMES:
+            r.say(f"model {one.model_id}: no covariances of more than {_MAX_COVARIANCE_FRAMES} frames")
+        elif (estimate := covariances(bundle, motions)) is None:
+            r.say(f"model {one.model_id}: no covariances: too few points")
+        else:
+            covariance[rows] = estimate.poses
+            for ends in motions.T:
+                np.fmax.at(motion_sd, rows[ends], estimate.motions)
+            report_coherence(r, one, estimate)
+        estimates.append(estimate)
+    return estimates, covariance, motion_sd

@@ -141,6 +141,7 @@ class AttemptName(StrEnum):
     MORE_PAIRS = "more_pairs"
     STRICTER_PAIRS = "stricter_pairs"
     MORE_FEATURES = "more_features"
+    ADDED = "added"
 
 
 class AttemptOutcome(StrEnum):
@@ -169,6 +170,14 @@ class ScaleSource(StrEnum):
     REFERENCE = "reference"
     REFERENCE_UNIT_UNKNOWN = "reference, unit unknown"
     NONE = "none"
+
+
+class GroundTruthChange(StrEnum):
+    """What made a version of a ground truth."""
+
+    BUILT = "built"
+    ADDED = "added"
+    REMOVED = "removed"
 
 
 class MapUnit(StrEnum):

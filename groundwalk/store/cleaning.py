@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import KEY_FILE, old_folder, partial_folder, read_json
+from groundwalk.store.files import CHANGE, KEY_FILE, old_folder, partial_folder, read_json
 from groundwalk.store.locks import lock_file, locked
 from groundwalk.store.manifests import MANIFEST, UNHASHED
 from groundwalk.store.settings import STAGES, DataRoot
@@ -40,7 +40,7 @@ def clean_scene(data: DataRoot, profile: str, scene: str) -> Cleaned:
         )
     cleaned = Cleaned()
     through_link = runs.is_symlink() or runs.parent.is_symlink()
-    stages = [] if through_link else [runs / stage for stage in STAGES if _leaves_traces(runs / stage)]
+    stages = [] if through_link else [runs / stage for stage in (*STAGES, CHANGE) if _leaves_traces(runs / stage)]
     with contextlib.ExitStack() as locks:
         for folder in (*stages, *([captures] if _are_simulators(captures) else [])):
             locks.enter_context(locked(folder))

@@ -17,6 +17,8 @@ from groundwalk.store.errors import UserError
 from groundwalk.store.text import name_list
 
 KEY_FILE = "key.json"
+CHANGE = "change"
+"""In a scene's run: the partial folder of this name is that of recordings being added or removed."""
 RECORDING = "recording.rrd"
 STOPPED = "stopped.json"
 """In a partial folder: why the stage found no result there, for the report."""

@@ -10,8 +10,10 @@ from groundwalk.store.hints import run_command
 from groundwalk.store.settings import STAGES
 
 MANIFEST = "manifest.json"
-# Not among the hashed outputs: a recording is a view of the tables and never the same twice.
-UNHASHED = (MANIFEST, RECORDING, KEY_FILE)
+FEATURES = "features.db"
+"""In sfm's artefact: features and matches, for a run that adds recordings or takes some out."""
+# Not among the hashed outputs: a recording is a view of the tables, and neither it nor a database is the same twice.
+UNHASHED = (MANIFEST, RECORDING, KEY_FILE, FEATURES)
 
 
 def load_manifest(folder: Path) -> dict[str, Any]:

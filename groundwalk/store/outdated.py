@@ -10,10 +10,10 @@ from typing import Any, Generic, TypeVar
 
 from groundwalk.store.definition import Stage
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import finish_interrupted_swap
+from groundwalk.store.files import finish_interrupted_swap, read_json
 from groundwalk.store.inputs import Inputs
 from groundwalk.store.locks import locked
-from groundwalk.store.manifests import MANIFEST, is_whole, listed_files
+from groundwalk.store.manifests import MANIFEST, is_whole, listed_files, load_verified
 from groundwalk.store.settings import DataRoot, Settings, resolve_settings
 
 S = TypeVar("S", bound=Settings)
@@ -64,8 +64,17 @@ def prepared(
             "inputs": inputs.hashes,
             **({"plugins": plugins} if (plugins := dict(stage.plugins(settings))) else {}),
         }
-        key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
-        yield Prepared(settings, inputs, final, key, parts)
+        # What was made by extending an artefact that is gone is current as long as the rest is the same.
+        there = read_json(final / MANIFEST)
+        if data.before and data.holds:
+            parts["extends"] = load_verified(data.before / stage.name)["outputs"]
+        elif there.get("key") == _key_of(extended := parts | {"extends": there.get("extends")}):
+            parts = extended
+        yield Prepared(settings, inputs, final, _key_of(parts), parts)
+
+
+def _key_of(parts: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
 def is_up_to_date(stage: Stage[Any], scene: str, profile: str, data: DataRoot) -> bool:

@@ -88,10 +88,13 @@ def checked_name(kind: Literal["scene", "profile"], name: str) -> str:
 
 class DataRoot:
     """The data folder, all of which is the user's: captures/, runs/, and files of profiles/ and scenes/, each of which
-    adds to the shipped one of its name, and goes before it; a file of published/ replaces the shipped one."""
+    adds to the shipped one of its name, and goes before it; a file of published/ replaces the shipped one.
 
-    def __init__(self, root: Path) -> None:
-        self.root = root.absolute()
+    `before`, in the data folder of a change: the run whose recordings are added to or taken out. `holds`: what it says
+    of frames that are still there stays as it is."""
+
+    def __init__(self, root: Path, before: Path | None = None, *, holds: bool = False) -> None:
+        self.root, self.before, self.holds = root.absolute(), before, holds
 
     def captures(self, scene: str) -> Path:
         """data/captures/<scene>; UserError for a name that isn't one."""

@@ -103,6 +103,16 @@ class StageRun(Generic[S]):
         return self.data.captures(self.scene.name)
 
     @property
+    def before(self) -> Path | None:
+        """The finished artefact of this stage before recordings were added to the scene, or taken out of it."""
+        return self.data.before / self.stage.name if self.data.before else None
+
+    @property
+    def holds(self) -> bool:
+        """What `before` says of frames that are still there stays as it is."""
+        return self.data.holds
+
+    @property
     def scratch(self) -> Path:
         """A folder for checkpoints: it survives a kill and is dropped when the stage ends."""
         path = self.work / _SCRATCH

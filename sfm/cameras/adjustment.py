@@ -12,7 +12,7 @@ points have priors. Gauss-Newton with Levenberg's damping on Cauchy's loss, poin
 adjustment - a modern synthesis", 2000). Each point's residuals count by its own variance (`point_noise`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,13 +92,16 @@ class CameraPriors:
 @dataclass(frozen=True)
 class Bundle:
     """What is adjusted: poses sfm_T_cam (N, 4, 4), points (P, 3), and where M observations lie in the images (M, 2;
-    px), in the order of their frames."""
+    px), in the order of their frames. `held_frames` and `held_points` are indices of those that stay as they are, with
+    the cameras of such frames; where there are any, they fix the gauge."""
 
     sfm_T_cam: Array
     xyz: Array
     frame: Ints
     point: Ints
     observed_px: Array
+    held_frames: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    held_points: Ints = field(default_factory=lambda: np.empty(0, np.int64))
 
 
 @dataclass(frozen=True)
@@ -202,6 +205,8 @@ def linearize(bundle: Bundle, cameras: Cameras) -> Linearization:
     moving = np.cross(q, cameras.angular[i]) - turn.apply(cameras.velocity[i])
     by_shared[:, :, _READOUT] = np.einsum("mij,mj->mi", by_q, moving * forward.row[:, None])
     by_shared[:, :, LENS_UNKNOWNS] = by_frame[:, :, _FOCUS]
+    by_camera[np.isin(i, bundle.held_frames)] = 0.0
+    by_point[np.isin(bundle.point, bundle.held_points)] = 0.0
     return Linearization(pixel - bundle.observed_px, by_camera, by_point)
 
 
@@ -229,8 +234,11 @@ def regular_system(
     residual, by_point = w * linear.residual, w[:, :, None] * linear.by_point
     by_camera = w[:, :, None] * linear.by_camera
     blocks, pull = _frame_sums(by_camera, residual, bundle.frame, frames)
+    # Nothing pulls at what is held; any information keeps it where it is.
+    blocks[bundle.held_frames, :6, :6] = np.eye(6)
     point_blocks = summed(outer(by_point, by_point), bundle.point, points)
     point_blocks += 1e-9 * np.trace(point_blocks, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    point_blocks[bundle.held_points] = np.eye(3)
     point_pull = summed(np.sum(by_point * residual[:, :, None], axis=1), bundle.point, points)
     lower_inverse = np.linalg.inv(np.linalg.cholesky(point_blocks))
     # With V = L L^T the points' part of the Schur complement, W V^-1 W^T, is A A^T with A = W L^-T.
@@ -249,6 +257,8 @@ def regular_system(
     point_inverse = np.swapaxes(lower_inverse, 1, 2) @ lower_inverse
     free = np.zeros((size, 0))
     system = System(blocks, columns, local, of_shared, gradient, point_inverse, point_pull, information, free)
+    if len(bundle.held_points):
+        return system
     return replace(system, gauge=_stiffness(system.diagonal(), bundle.sfm_T_cam[:, :3, 3]))
 
 

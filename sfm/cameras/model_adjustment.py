@@ -53,7 +53,8 @@ class CameraLog:
     """The cameras of N frames before a model of them is adjusted.
 
     `intrinsics` (N, 4), `readout_line` (N, 3) as in `Cameras`, `session` (N,) names, `t_s` (N,) on each session's
-    clock, vio_T_cam (N, 4, 4), and `focal_sd` (N,) of the focal lengths where cameras don't log them.
+    clock, vio_T_cam (N, 4, 4), and `focal_sd` (N,) of the focal lengths where cameras don't log them. `held_velocity`
+    (N, 3) in sfm units/s is of frames whose cameras stay as they are, NaN for others.
     """
 
     intrinsics: Array
@@ -64,6 +65,7 @@ class CameraLog:
     focal_sd: Array
     calibration: Calibration
     motion: Motion
+    held_velocity: Array | None = None
 
 
 def camera_log(
@@ -87,11 +89,20 @@ def camera_log(
     )
 
 
+@dataclass(frozen=True)
+class Held:
+    """Frames, by their ids, and points of a model that stay as they are."""
+
+    frames: frozenset[int] = frozenset()
+    points: frozenset[int] = frozenset()
+
+
 def adjust_model(
-    model: pycolmap.Reconstruction, keypoints: list[Array], log: CameraLog, settings: SfmSettings
+    model: pycolmap.Reconstruction, keypoints: list[Array], log: CameraLog, settings: SfmSettings, held: Held = Held()
 ) -> tuple[Adjusted, Ints]:
     """Adjust a model in place; `keypoints` are those of all N frames as extracted. Returns the adjusted model and the
-    rows (R,) of its frames. Raises LinAlgError where its images don't determine it.
+    rows (R,) of its frames, of those that are `held` only such as see points that aren't. Raises LinAlgError where its
+    images don't determine it.
 
     Frames that have too few observations for a pose are deregistered, before and where outliers leave them so few.
     Observations beyond four sigma, and those that the distortion polynomial folds back into the image, are removed on
@@ -105,7 +116,7 @@ def adjust_model(
     _deregister_undetermined(model)
     if model.num_reg_frames() < _MIN_FRAMES:
         raise LinAlgError("hardly any frame has enough observations for a pose")
-    rows, point_ids, bundle, features = _bundle_of(model, keypoints)
+    rows, point_ids, bundle, features = _bundle_of(model, keypoints, held)
     cameras, priors = _cameras_of(rows, bundle, log, settings)
     adjusted = adjust(bundle, cameras, priors, rough=True)
     _write_back(model, rows, point_ids, adjusted, features)
@@ -117,8 +128,8 @@ def adjust_model(
             observations.delete_observation(image_id(row), feature)
     observations.filter_observations_with_negative_depth()
     if _deregister_undetermined(model):
-        return adjust_model(model, keypoints, log, settings)
-    rows, point_ids, bundle, features = _bundle_of(model, keypoints)
+        return adjust_model(model, keypoints, log, settings, held)
+    _, point_ids, bundle, features = _bundle_of(model, keypoints, held, rows)
     learned = priors
     if settings.refine_cameras != "never":
         priors, learned = with_shrunk_sds(adjusted), with_likeliest_sds(adjusted)
@@ -129,7 +140,7 @@ def adjust_model(
     _write_back(model, rows, point_ids, adjusted, features)
     observations.filter_observations_with_negative_depth()
     model.update_point_3d_errors()
-    _, left_ids, left, _ = _bundle_of(model, keypoints)
+    _, left_ids, left, _ = _bundle_of(model, keypoints, held, rows)
     noise = adjusted.noise[np.searchsorted(point_ids, left_ids)]
     return replace(adjusted, bundle=left, priors=learned, noise=noise), rows
 
@@ -150,16 +161,20 @@ def with_lenses_of(log: CameraLog, adjusted: Adjusted, rows: Ints) -> CameraLog:
     """The log with the lenses of an adjusted model, whose frames are `rows` (R,), as a prior for further models."""
     lenses, cameras = list(log.calibration.lenses), adjusted.cameras
     for number, index in enumerate(np.unique(log.calibration.lens[rows]).tolist()):
-        lens = lenses[index]
-        sd = np.minimum(np.sqrt(np.diag(lens.prior_covariance)), SAME_LENS_SD)
-        lenses[index] = replace(
-            lens,
-            prior_coefficients=cameras.coefficients[number].tolist(),
-            prior_readout_s=float(cameras.readout_s[number]),
-            prior_covariance=np.diag(sd**2).tolist(),
-            prior_k3_sd=min(lens.prior_k3_sd, KNOWN_K3_SD),
-        )
+        lenses[index] = known_lens(lenses[index], cameras.coefficients[number], float(cameras.readout_s[number]))
     return replace(log, calibration=replace(log.calibration, lenses=lenses))
+
+
+def known_lens(lens: Lens, coefficients: Array, readout_s: float) -> Lens:
+    """A lens with the coefficients (8,) and readout that a model of other frames of it has, as a prior."""
+    sd = np.minimum(np.sqrt(np.diag(lens.prior_covariance)), SAME_LENS_SD)
+    return replace(
+        lens,
+        prior_coefficients=coefficients.tolist(),
+        prior_readout_s=readout_s,
+        prior_covariance=np.diag(sd**2).tolist(),
+        prior_k3_sd=min(lens.prior_k3_sd, KNOWN_K3_SD),
+    )
 
 
 def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cameras:
@@ -184,6 +199,9 @@ def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cam
         every.coefficients[rows], every.readout_s[rows] = part.coefficients[part.lens], part.readout_s[part.lens]
         every.log_focal[rows], every.focus[rows] = part.log_focal[part.session], part.focus
         every.angular[rows], every.velocity[rows] = part.angular, part.velocity
+    if log.held_velocity is not None:
+        is_held = np.isfinite(log.held_velocity).all(axis=1)
+        every.velocity[is_held] = log.held_velocity[is_held]
     return every
 
 
@@ -208,23 +226,32 @@ def load_adjusted(path: Path) -> tuple[Adjusted, Ints]:
         return Adjusted(bundle, cameras, priors, float(file["loss_px"]), file["noise"]), file["rows"]
 
 
-def _bundle_of(model: pycolmap.Reconstruction, keypoints: list[Array]) -> tuple[Ints, Ints, Bundle, Ints]:
-    """Rows of the model's frames (R,), its points' ids (P,), the bundle, and each observation's feature (M,)."""
-    rows = np.array(sorted(i - 1 for i in model.reg_image_ids()), np.int64)
-    point_ids = np.array(sorted(model.points3D), np.int64)
-    xyz = np.array([model.points3D[i].xyz for i in point_ids]).reshape(-1, 3)
-    poses, frame, point, feature, observed_px = [], [], [], [], []
-    for number, row in enumerate(rows.tolist()):
+def _bundle_of(
+    model: pycolmap.Reconstruction, keypoints: list[Array], held: Held, rows: Ints | None = None
+) -> tuple[Ints, Ints, Bundle, Ints]:
+    """Rows of frames (R,), ids of points (P,), the bundle, and each observation's feature (M,): all of the model but
+    for what held frames see of held points. `rows` are taken where they are given."""
+    features, ids = {}, {}
+    for row in sorted(i - 1 for i in model.reg_image_ids()):
         image = model.image(image_id(row))
-        poses.append(pose_of(image))
-        features = np.asarray(image.get_observation_point2D_idxs(), np.int64)
-        frame.append(np.full(len(features), number))
-        ids = [p.point3D_id for p in image.get_observation_points2D()]
-        point.append(np.searchsorted(point_ids, ids))
-        feature.append(features)
-        observed_px.append(keypoints[row][features])
-    bundle = Bundle(np.stack(poses), xyz, *(np.concatenate(part) for part in (frame, point, observed_px)))
-    return rows, point_ids, bundle, np.concatenate(feature)
+        features[row] = np.asarray(image.get_observation_point2D_idxs(), np.int64)
+        ids[row] = np.array([p.point3D_id for p in image.get_observation_points2D()], np.int64)
+        if image_id(row) in held.frames:
+            is_free = np.array([i not in held.points for i in ids[row].tolist()], bool)
+            features[row], ids[row] = features[row][is_free], ids[row][is_free]
+    if rows is None:
+        rows = np.array([row for row in ids if image_id(row) not in held.frames or len(ids[row])], np.int64)
+    point_ids, point = np.unique(np.concatenate([ids[row] for row in rows]), return_inverse=True)
+    bundle = Bundle(
+        np.stack([pose_of(model.image(image_id(row))) for row in rows.tolist()]),
+        np.array([model.points3D[i].xyz for i in point_ids.tolist()]).reshape(-1, 3),
+        np.repeat(np.arange(len(rows)), [len(ids[row]) for row in rows]),
+        point,
+        np.concatenate([keypoints[row][features[row]] for row in rows]),
+        np.flatnonzero([image_id(row) in held.frames for row in rows.tolist()]),
+        np.flatnonzero([i in held.points for i in point_ids.tolist()]),
+    )
+    return rows, point_ids, bundle, np.concatenate([features[row] for row in rows])
 
 
 def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSettings) -> tuple[Cameras, CameraPriors]:
@@ -349,6 +376,12 @@ def _write_back(
     bounds = np.searchsorted(bundle.frame, np.arange(len(rows) + 1))
     for number, row in enumerate(rows.tolist()):
         image = model.image(image_id(row))
+        points = image.points2D
+        members = slice(bounds[number], bounds[number + 1])
+        for feature, xy in zip(feature_M[members].tolist(), global_px[members], strict=True):
+            points[feature].xy = xy
+        if number in bundle.held_frames:
+            continue
         camera = model.camera(image.camera_id)
         params = np.array(camera.params)
         params[:2] = focal[number]
@@ -359,9 +392,5 @@ def _write_back(
         camera.params = params.tolist()
         assert image.frame is not None
         image.frame.set_cam_from_world(image.camera_id, pycolmap.Rigid3d(inverse(bundle.sfm_T_cam[number])[:3]))
-        points = image.points2D
-        members = slice(bounds[number], bounds[number + 1])
-        for feature, xy in zip(feature_M[members].tolist(), global_px[members], strict=True):
-            points[feature].xy = xy
-    for number, point_id in enumerate(point_ids.tolist()):
-        model.points3D[point_id].xyz = bundle.xyz[number]
+    for number in np.setdiff1d(np.arange(len(point_ids)), bundle.held_points).tolist():
+        model.points3D[int(point_ids[number])].xyz = bundle.xyz[number]

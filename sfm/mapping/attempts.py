@@ -19,7 +19,7 @@ from groundwalk.store.errors import UserError
 
 # Of the frames those that models should register, or else more pairs are tried; fewer than the second one, and
 # everything is. Of registered frames those whose motion has to be consistent with VIO.
-_TARGET_REGISTERED, _MIN_REGISTERED, MIN_CONSISTENT = 0.9, 0.5, 0.8
+_TARGET_REGISTERED, MIN_REGISTERED, MIN_CONSISTENT = 0.9, 0.5, 0.8
 _RANKED = (
     AttemptOutcome.NO_MODEL,
     AttemptOutcome.TOO_FEW_REGISTERED,
@@ -67,7 +67,7 @@ class Attempt:
         fraction = self.registered / len(self.consistent)
         if not self.selected:
             return AttemptOutcome.NO_MODEL
-        if fraction < _MIN_REGISTERED:
+        if fraction < MIN_REGISTERED:
             return AttemptOutcome.TOO_FEW_REGISTERED
         if self.consistent.sum() < MIN_CONSISTENT * self.registered:
             return AttemptOutcome.INCONSISTENT_WITH_VIO
@@ -103,9 +103,13 @@ def next_step(attempts: list[Attempt]) -> tuple[AttemptName, dict[str, Any]] | N
         # Pairs of far frames are what bends a model or merges distinct places.
         return AttemptName.STRICTER_PAIRS, {"vio_max_distance_m": settings.vio_max_distance_m / 2}
     if AttemptName.MORE_FEATURES not in tried:
-        larger = {"max_features": 2 * settings.max_features, "max_image_size": 2 * settings.max_image_size}
-        return AttemptName.MORE_FEATURES, larger
+        return AttemptName.MORE_FEATURES, more_features(settings)
     return None
+
+
+def more_features(settings: SfmSettings) -> dict[str, Any]:
+    """What the attempt of that name changes."""
+    return {"max_features": 2 * settings.max_features, "max_image_size": 2 * settings.max_image_size}
 
 
 def run_attempts(

@@ -85,8 +85,8 @@ def build_models(
         model.extract_colors_for_all_images(source.images)
         (work / name).mkdir()
         model.write_binary(work / name)
-        described = _described(entry.mapping, entry.number, model)
-        built[index] = (replace(described, misplaced=misplaced, folder=name), model)
+        one = described(entry.mapping, entry.number, model)
+        built[index] = (replace(one, misplaced=misplaced, folder=name), model)
     write_built(work, [entry for entry, _ in built])
     shutil.rmtree(output, ignore_errors=True)
     work.rename(output)
@@ -104,7 +104,7 @@ def _map(report: Report, source: MappingInput, frames: int, mapper: str, work: P
     (work / mapper).mkdir(parents=True)
     with MAPPERS.guard(mapper):
         models = MAPPERS.find(mapper).run(source, work / mapper, report_one)
-    built = [(_described(mapper, number, model), model) for number, model in enumerate(models)]
+    built = [(described(mapper, number, model), model) for number, model in enumerate(models)]
     for number in range(_MAX_CONTINUED):
         largest = max(built, key=_size, default=None)
         if largest is None or largest[0].images == frames:
@@ -112,7 +112,7 @@ def _map(report: Report, source: MappingInput, frames: int, mapper: str, work: P
         folder = work / f"continued_{number}"
         folder.mkdir()
         more = [
-            (_described("continued", number, model), model)
+            (described("continued", number, model), model)
             for model in continued(source, largest[1], folder, report_one)
         ]
         built += more
@@ -125,7 +125,7 @@ def _size(built: Built) -> tuple[int, int]:
     return built[0].images, built[0].observations
 
 
-def _described(mapping: str, number: int, model: pycolmap.Reconstruction) -> BuiltModel:
+def described(mapping: str, number: int, model: pycolmap.Reconstruction) -> BuiltModel:
     return BuiltModel(
         mapping,
         number,

@@ -22,15 +22,22 @@ def incremental(source: MappingInput, folder: Path, registered: Callable[[], Non
 
 
 def continued(
-    source: MappingInput, base: pycolmap.Reconstruction, folder: Path, registered: Callable[[], None]
+    source: MappingInput,
+    base: pycolmap.Reconstruction,
+    folder: Path,
+    registered: Callable[[], None],
+    *,
+    held: bool = False,
 ) -> list[pycolmap.Reconstruction]:
-    """Incremental mapping that goes on from a model, with half the inliers needed to register an image."""
+    """Incremental mapping that goes on from a model, with half the inliers needed to register an image. Images of a
+    model that is `held` stay where they are, and needn't have a match."""
     start = folder / "base"
-    start.mkdir()
+    start.mkdir(parents=True)
     base.write_binary(start)
     options = pipeline_options(source)
     options.multiple_models = False
     options.mapper.abs_pose_min_num_inliers //= 2
+    options.fix_existing_frames = options.mapper.fix_existing_frames = options.load_all_images = held
     return _listed(
         pycolmap.incremental_mapping(
             source.database, source.images, folder, options, input_path=start, next_image_callback=registered

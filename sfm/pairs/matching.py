@@ -46,17 +46,28 @@ def match_pairs(report: Report, database: Path, pairs: Pairs, seed: int) -> None
             ThreadPoolExecutor(usable_cores()) as pool,
         ):
             images = _images(opened, chunk)
+            # An earlier run's, of the same features.
+            known = {
+                (a, b): opened.read_matches(image_id(a), image_id(b))
+                for a, b in chunk
+                if opened.exists_matches(image_id(a), image_id(b))
+            }
 
             def match(
-                pair: list[int], images: dict[int, _Image] = images
+                pair: list[int],
+                images: dict[int, _Image] = images,
+                known: dict[tuple[int, int], NDArray[np.uint32]] = known,
             ) -> tuple[NDArray[np.uint32], pycolmap.TwoViewGeometry]:
                 a, b = (images[row] for row in pair)
-                matches = mutual_matches(a.descriptors, b.descriptors)
+                matches = known.get((pair[0], pair[1]))
+                if matches is None:
+                    matches = mutual_matches(a.descriptors, b.descriptors)
                 ends = (a.camera, a.keypoints, b.camera, b.keypoints)
                 return matches, pycolmap.estimate_two_view_geometry(*ends, matches, options)
 
             for (a, b), (matches, geometry) in zip(chunk, pool.map(match, chunk), strict=True):
-                opened.write_matches(image_id(a), image_id(b), matches)
+                if (a, b) not in known:
+                    opened.write_matches(image_id(a), image_id(b), matches)
                 opened.write_two_view_geometry(image_id(a), image_id(b), geometry)
         report(int(is_done.sum()) + start + len(chunk))
 

@@ -31,9 +31,17 @@ _MIN_COMPARED_PAIRS = 8
 
 
 def match_proposals(
-    settings: SfmSettings, vio: Odometry, proposals: Proposals, database: Path, work: Workspace, seed: int
+    settings: SfmSettings,
+    vio: Odometry,
+    proposals: Proposals,
+    database: Path,
+    work: Workspace,
+    seed: int,
+    is_new: NDArray[np.bool_],
 ) -> pd.DataFrame:
-    """Match and verify the proposals, then pairs that both match a third frame (module `matched`)."""
+    """Match and verify the proposals, then pairs that both match a third frame (module `matched`); only pairs with a
+    new frame (N,)."""
+    proposals = [(origin, pairs[is_new[pairs].any(axis=1)]) for origin, pairs in proposals]
 
     def match(text: str) -> pd.DataFrame:
         pairs, origin = first_origins(proposals, len(vio.session))
@@ -43,6 +51,7 @@ def match_proposals(
 
     matched = match("matching pairs")
     chains = pairs_of_chains(settings, vio, rows_of(matched), matched["inliers"].to_numpy(np.int64))
+    chains = chains[is_new[chains].any(axis=1)]
     if len(chains):
         proposals = [*proposals, (PairOrigin.TRANSITIVE, chains)]
         matched = match("matching pairs that share a partner")
@@ -119,10 +128,11 @@ def with_floor_matches(
     pairs = rows_of(matched)
     is_link = are_verified(matched) & (matched["inliers"] >= LINK_INLIERS).to_numpy()
     broken = broken_links(vio.recording, vio.t_ns, pairs[is_link])
+    within = vio.session[pairs[:, 0]] == vio.session[pairs[:, 1]]
+    broken = broken[np.isin(vio.recording[broken[:, 0]], vio.recording[pairs[within, 0]])]  # not of a map that is held
     can_be_drawn = np.isfinite(vio.gravity_cam).all(axis=1) & vio.posed
     can_be_drawn &= np.isin(vio.recording, vio.recording[broken[:, 0]])
-    chosen = are_weak(matched) & can_be_drawn[pairs].all(axis=1)
-    chosen &= vio.session[pairs[:, 0]] == vio.session[pairs[:, 1]]
+    chosen = are_weak(matched) & can_be_drawn[pairs].all(axis=1) & within
     if not chosen.any():
         return matched
     arguments = (database, source, vio, pairs[chosen], are_verified(matched)[chosen])

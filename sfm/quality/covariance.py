@@ -68,13 +68,18 @@ def covariances(adjusted: Adjusted, motion_S2: Ints) -> Covariances | None:
     What the cameras' model leaves out is alike in the rows of a frame that are read out together, or in a region of the
     image. Where residuals are correlated more than independent ones would be (`coherence`), covariances grow by it.
     What the frames share is also as uncertain as principal points make it (`_of_centres`).
+
+    Where frames and points are held, what comes out is how certain the others are if these are right.
     """
     bundle, cameras = adjusted.bundle, adjusted.cameras
     frames, points = len(bundle.sfm_T_cam), len(bundle.xyz)
     track_length = np.bincount(bundle.point, minlength=points)
     keypoint_P = keypoints_of(bundle)
     keypoints = int(keypoint_P.max(initial=-1)) + 1
-    if keypoints < _KEYPOINTS_PER_UNKNOWN * 6 * frames or track_length.min() < 2:
+    is_held = np.zeros(points, bool)
+    is_held[bundle.held_points] = True
+    free_frames = frames - len(bundle.held_frames)
+    if keypoints < _KEYPOINTS_PER_UNKNOWN * 6 * free_frames or track_length[~is_held].min(initial=2) < 2:
         return None
     linear = linearize(bundle, cameras).over(adjusted.noise_M)
     weight = cauchy_weights(linear.residual, adjusted.loss_px)
@@ -86,7 +91,8 @@ def covariances(adjusted: Adjusted, motion_S2: Ints) -> Covariances | None:
         inverse = inverse_of(system.matrix())
     except LinAlgError:
         return None
-    fitted = np.sqrt(2 * track_length / np.maximum(2 * track_length - 3, 1))[bundle.point]
+    fitted = np.sqrt(2 * track_length / np.where(is_held, 2 * track_length, np.maximum(2 * track_length - 3, 1)))
+    fitted = fitted[bundle.point]
     force = _forces(linear, weight, fitted[:, None] * linear.residual, bundle.point, system.point_inverse)
     by_keypoint = _rows_of_unknowns(force, adjusted, keypoint_P[bundle.point], keypoints)
     middle = _dense(by_keypoint, variance**2 * information)
@@ -98,10 +104,15 @@ def covariances(adjusted: Adjusted, motion_S2: Ints) -> Covariances | None:
     shared += (max(by_rows, by_region) - 1) * shared_by_keypoints.T @ shared_by_keypoints
     middle *= by_rows
     position = bundle.sfm_T_cam[:, :3, 3]
-    poses = _gauge_free_sandwich(inverse, middle, position)
+    gauge, h = _gauge_of(position)
+    if len(bundle.held_points):
+        gauge, h = np.zeros_like(gauge), np.zeros_like(h)
+    poses = _gauge_free_sandwich(inverse, middle, gauge, h)
     by_centres = _of_centres(adjusted, linear, weight, system.point_inverse).T @ of_shared.T
     shared += by_centres.T @ by_centres
-    return Covariances(poses, shared, _sds_of_motions(inverse, middle, position, motion_S2), by_rows, by_region)
+    return Covariances(
+        poses, shared, _sds_of_motions(inverse, middle, position, (gauge, h), motion_S2), by_rows, by_region
+    )
 
 
 def _dense(by_keypoint: csr_array, information: csr_array) -> Array:
@@ -206,13 +217,13 @@ def _gauge_of(position_N3: Array) -> tuple[Array, Array]:
     return gauge, np.asarray(np.linalg.solve(positions.T @ gauge, positions.T), float)
 
 
-def _gauge_free_sandwich(inverse: Array, middle: Array, position_N3: Array) -> Array:
+def _gauge_free_sandwich(inverse: Array, middle: Array, gauge: Array, h: Array) -> Array:
     """The poses' (N, 6, 6) diagonal blocks of inverse @ middle @ inverse where no similarity of all positions is left.
 
-    S-transformation: X -> P X P^T with P = 1 - gauge (positions^T gauge)^-1 positions^T. Only its blocks are needed.
+    S-transformation: X -> P X P^T with P = 1 - gauge h, h = (positions^T gauge)^-1 positions^T, both 0 where something
+    else holds the gauge. Only its blocks are needed.
     """
-    frames = len(position_N3)
-    gauge, h = _gauge_of(position_N3)
+    frames = len(gauge) // 6
     index = local_unknowns(frames)[:, :6]
     h_of_all = np.zeros((7, len(inverse)))
     h_of_all[:, index.ravel()] = h
@@ -231,12 +242,14 @@ def _gauge_free_sandwich(inverse: Array, middle: Array, position_N3: Array) -> A
     return blocks - cross - np.swapaxes(cross, 1, 2) + gauge_N67 @ (h_middle @ h_inverse.T) @ gauge_T
 
 
-def _sds_of_motions(inverse: Array, middle: Array, position_N3: Array, motion_S2: Ints) -> Array:
+def _sds_of_motions(
+    inverse: Array, middle: Array, position_N3: Array, gauge_and_h: tuple[Array, Array], motion_S2: Ints
+) -> Array:
     """(S,) the largest standard deviation of each motion, as a fraction of its length.
 
     The motion R_a^T (p_b - p_a) is free of the gauge but for the model's scale, which the S-transformation takes away.
     """
-    gauge, h = _gauge_of(position_N3)
+    gauge, h = gauge_and_h
     gauge_N67 = gauge.reshape(-1, 6, 7)
     index = local_unknowns(len(position_N3))[:, :6]
     h_inverse = h @ inverse[index.ravel()]

@@ -19,6 +19,8 @@ from groundwalk.store.tables import pose_frame, read_table, write_table
 SIZE_PX = (320, 240)
 FOCAL_PX = 260.0
 _TEXELS_PER_M = 120
+# Odometry of a frame of its own, metric and upright.
+_VIO_T_ROOM = make_pose(np.diag([-1.0, 1.0, -1.0]), [5.0, 0.0, 1.0])
 # Walls of the room: a corner, and the two directions in which its texture runs (m).
 _WALLS = [
     ((-2.0, 0.0, 0.0), (4.0, 0.0, 0.0), (0.0, 2.5, 0.0)),
@@ -59,6 +61,25 @@ def make_room(folder: Path, per_walk: int = 7, same_place: bool = True) -> Room:
     return Room(data, frames, np.concatenate(list(walks.values())))
 
 
+def make_recording(folder: Path, count: int, height_m: float, distance_m: float, seed: int = 0) -> Array:
+    """A walk in the room, or for another seed one of other walls, as a capture with VIO; its true room_T_cam."""
+    textures = [_texture(_length(u), _length(v), seed + i) for i, (_, u, v) in enumerate(_WALLS)]
+    room_T_cam = _walk(count, height_m, distance_m)
+    rows: list[dict[str, Any]] = [{"groundwalk": "frames", "version": 1, "device": "phone", "clock": "boot"}]
+    folder.mkdir(parents=True)
+    camera = {"fx": FOCAL_PX, "fy": FOCAL_PX, "cx": SIZE_PX[0] / 2, "cy": SIZE_PX[1] / 2}
+    for number, pose in enumerate(room_T_cam):
+        cv2.imwrite(str(folder / f"{number}.png"), _photograph(textures, pose))
+        row = {
+            "t_ns": number * 1_000_000_000,
+            "vio_T_cam": (_VIO_T_ROOM @ pose).ravel().tolist(),
+            "image": f"{number}.png",
+        }
+        rows.append(row | {"width": SIZE_PX[0], "height": SIZE_PX[1]} | camera)
+    (folder / "frames.jsonl").write_text("\n".join(map(json.dumps, rows)))
+    return room_T_cam
+
+
 def _frames(data: DataRoot, session: str, room_T_cam: Array, views: list[np.ndarray]) -> pd.DataFrame:
     """The frames table of a walk, a second apart, its pictures written."""
     images = [f"{session}/{row}.jpg" for row in range(len(views))]
@@ -66,9 +87,7 @@ def _frames(data: DataRoot, session: str, room_T_cam: Array, views: list[np.ndar
         path = data.captures("room") / image
         path.parent.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(path), view)
-    # Odometry of a frame of its own, metric and upright.
-    vio_T_room = make_pose(np.diag([-1.0, 1.0, -1.0]), [5.0, 0.0, 1.0])
-    table = pose_frame("vio_cam", vio_T_room @ room_T_cam)
+    table = pose_frame("vio_cam", _VIO_T_ROOM @ room_T_cam)
     table[["gravity_x", "gravity_y", "gravity_z"]] = -room_T_cam[:, 1, :3]
     table["frame_id"] = [f"{session}/{row:06d}" for row in range(len(views))]
     table["session_id"] = session

@@ -8,6 +8,7 @@ from groundwalk.store.choices import (
     DriftDefinition,
     DriftInterval,
     FailureCause,
+    GroundTruthChange,
     LengthUnit,
     QualityClass,
     ReferenceAlignment,
@@ -23,6 +24,22 @@ _SEGMENT = Column("segment", "int64", "part of the session between two VIO jumps
 _COMPONENT = Column("component", "int64", "SfM model that the poses are from, largest first, from 0", nullable=True)
 
 TABLES = [
+    TableSchema(
+        "align",
+        "versions",
+        "What changed with each version of the ground truth, one row a session: version 1 was built as a whole, each "
+        "further one adds recordings or takes some out. Frames of a session have the same rows in all versions that "
+        "have it.",
+        [
+            Column("version", "int64", "from 1; a ground truth that is built anew begins with 1"),
+            Column("change", "string", "what became of the session", choices=GroundTruthChange),
+            _SESSION,
+            Column("frames", "int64", "its frames"),
+            Column("with_ground_truth", "int64", "those with ground truth"),
+            *(Column(f"quality_{name}", "int64", f"those of class {name}") for name in "ABC"),
+            Column("position_sd_m", "float64", "median of ground_truth.position_sd_m", "m", "map", True),
+        ],
+    ),
     TableSchema(
         "align",
         "ground_truth",

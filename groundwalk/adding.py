@@ -1,0 +1,204 @@
+"""The commands `add` and `remove`: recordings put into a finished ground truth, or taken out of it.
+
+The change is made in a data folder of its own, hidden in the scene's run, by the stages as they are: its captures are
+links to those of the scene, with the new recording or without the old one, and what its runs go on from is the scene's
+run. When all is done it is put in place; until then nothing of the scene has changed.
+"""
+
+import contextlib
+import os
+import shutil
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from groundwalk.cli import stage_of
+from groundwalk.pipeline import Step, run_steps
+from groundwalk.store import progress
+from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
+from groundwalk.store.errors import UserError
+from groundwalk.store.files import CHANGE, KEY_FILE, partial_folder, read_json, swap_in, write_json
+from groundwalk.store.hints import run_command
+from groundwalk.store.inputs import capture_files, held
+from groundwalk.store.locks import locked
+from groundwalk.store.manifests import MANIFEST, listed_files, load_manifest
+from groundwalk.store.outdated import is_up_to_date
+from groundwalk.store.schemas import schema
+from groundwalk.store.settings import DataRoot
+from groundwalk.store.tables import read_table
+
+app = new_app("Recordings into a finished ground truth, or out of it.")
+_STAGES = ("import", "sfm", "align")
+RefineOption = Annotated[
+    bool, typer.Option("--refine", help="Make everything anew, old poses too; features and matches are reused.")
+]
+
+
+@app.command()
+def add(
+    recording: Annotated[Path, typer.Argument(help="A recording, or a folder of them; it is copied.")],
+    scene: SceneOption,
+    profile: ProfileOption = "demo",
+    refine: RefineOption = False,
+    data: DataOption = Path("data"),
+) -> None:
+    """Add a recording to a finished ground truth, whose poses, classes and map frame stay as they are to the bit.
+
+    A recording that doesn't fit is refused, and then nothing has changed.
+    """
+    recording = recording.expanduser().resolve()
+    if not recording.exists() or (recording.is_dir() and not capture_files(recording)):
+        raise UserError("the recording isn't there", where=recording, expected="a recording, or a folder of them")
+    _change(DataRoot(data), profile, scene, recording, "", refine)
+
+
+@app.command()
+def remove(
+    session: Annotated[str, typer.Argument(help="The recording: the name of its folder or file.")],
+    scene: SceneOption,
+    profile: ProfileOption = "demo",
+    refine: RefineOption = False,
+    data: DataOption = Path("data"),
+) -> None:
+    """Take a recording out of a finished ground truth; what the others have stays as it is to the bit.
+
+    Its files are moved into the hidden folder .removed of the captures.
+    """
+    _change(DataRoot(data), profile, scene, None, session, refine)
+
+
+def _change(data: DataRoot, profile: str, scene: str, new: Path | None, gone: str, refine: bool) -> None:
+    """Make a change and put it in place; UserError, and nothing changed, where it can't be made."""
+    run, captures = data.run(profile, scene), data.captures(scene)
+    if data.scene(scene)[0].is_group:
+        raise UserError(f"{scene} is a group of scenes", do="name one of its scenes")
+    aside, key = partial_folder(run / CHANGE), f"{new or ''} {gone} {refine}"
+    with locked(run / CHANGE):
+        note = read_json(aside / KEY_FILE)
+        if note.get("key") != key or "done" not in note:
+            place = Path(new.name) if new else _path_of(captures, gone)
+            if new and os.path.lexists(captures / place):
+                raise UserError(f"the captures have {place} already", where=captures / place, do="give it another name")
+            note = {"key": key, "before": _keys(data, profile, scene)}
+            if read_json(aside / KEY_FILE) != note:
+                shutil.rmtree(aside, ignore_errors=True)
+                aside.mkdir(parents=True)
+                write_json(aside / KEY_FILE, note)
+            with held(data, profile, [scene], _STAGES) as refuse_changed:
+                try:
+                    _make(DataRoot(aside, run, holds=not refine), data, profile, scene, new, place)
+                except UserError:
+                    shutil.rmtree(aside, ignore_errors=True)
+                    raise
+                refuse_changed()
+            write_json(aside / KEY_FILE, note | {"done": place.as_posix()})
+        _put_in_place(aside, data, profile, scene, new is not None)
+    _tell(data, profile, scene)
+
+
+def _keys(data: DataRoot, profile: str, scene: str) -> dict[str, str]:
+    """The keys of the finished stages; UserError where one isn't up to date."""
+    for name in _STAGES:
+        if not is_up_to_date(stage_of(name), scene, profile, data):
+            folder = data.run(profile, scene, name)
+            raise UserError(
+                f"{name} of scene {scene} isn't finished, or isn't up to date",
+                where=folder,
+                expected="a finished ground truth to change",
+                do=run_command(folder),
+            )
+    return {name: load_manifest(data.run(profile, scene, name))["key"] for name in _STAGES}
+
+
+def _path_of(captures: Path, recording: str) -> Path:
+    """Where a recording lies in the captures."""
+    paths = {file.relative_to(captures) for file in capture_files(captures)}
+    found = {p for path in paths for p in (path, *path.parents) if recording in (p.name, p.stem)}
+    top = sorted(p for p in found if not found & {*p.parents})
+    if len(top) != 1:
+        raise UserError(
+            f"the captures have no recording {recording!r} in a folder or file of its own",
+            where=captures,
+            found=", ".join(map(str, top)) or None,
+            expected=f"one of {', '.join(sorted({path.parts[0] for path in paths if len(path.parts) > 1}))}",
+        )
+    return top[0]
+
+
+def _make(changed: DataRoot, data: DataRoot, profile: str, scene: str, new: Path | None, place: Path) -> None:
+    """Run the stages on the captures with what is `new`, or without what lies at `place`; what a killed run of the same
+    change did is reused."""
+    from groundwalk.store.stage import execute
+
+    for path in data.root.iterdir():
+        if path.name not in ("captures", "runs") and not (changed.root / path.name).is_symlink():
+            (changed.root / path.name).symlink_to(path)
+    target, captures = changed.captures(scene), data.captures(scene).resolve()
+
+    def ignored(folder: str, names: list[str]) -> list[str]:
+        return [name for name in names if name.startswith(".") or (not new and Path(folder, name) == captures / place)]
+
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(captures, target, ignore=ignored, copy_function=_link, symlinks=True)
+    if new:
+        copy: Any = shutil.copytree if new.is_dir() else shutil.copy2
+        copy(new, target / place)
+    for name in _STAGES:
+        execute(stage_of(name), scene, profile, changed, None, load_manifest(data.run(profile, scene, name))["seed"])
+
+
+def _link(source: str, target: str) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # another disk, or one without links
+        shutil.copy2(source, target)
+
+
+def _put_in_place(aside: Path, data: DataRoot, profile: str, scene: str, is_new: bool) -> None:
+    """Move what was made to where it belongs; a run that was killed here is finished by the same command."""
+    captures, done = data.captures(scene), read_json(aside / KEY_FILE)["done"]
+    with contextlib.ExitStack() as locks:
+        for folder in (captures, *(data.run(profile, scene, name) for name in _STAGES)):
+            locks.enter_context(locked(folder))
+        made = DataRoot(aside)
+        if is_new and not os.path.lexists(captures / done):
+            arriving = captures / f".{Path(done).name}.partial"
+            shutil.rmtree(arriving, ignore_errors=True)
+            shutil.move(made.captures(scene) / done, arriving)
+            arriving.rename(captures / done)
+        elif not is_new and os.path.lexists(captures / done):
+            removed = captures / ".removed" / done
+            while os.path.lexists(removed):
+                removed = removed.with_name(f"{removed.name}~")
+            removed.parent.mkdir(parents=True, exist_ok=True)
+            (captures / done).rename(removed)
+            progress.console.print(f"  {captures / done} is in {removed} now")
+        # A folder that is finished beside its place is put there by whatever runs the stage next.
+        for name in _STAGES:
+            final, folder = data.run(profile, scene, name), made.run(profile, scene, name)
+            if (folder / MANIFEST).is_file():
+                shutil.rmtree(partial_folder(final), ignore_errors=True)
+                folder.rename(partial_folder(final))
+        for name in _STAGES:
+            final = data.run(profile, scene, name)
+            if (partial_folder(final) / MANIFEST).is_file():
+                swap_in(partial_folder(final), final, listed_files)
+    shutil.rmtree(aside)
+
+
+def _tell(data: DataRoot, profile: str, scene: str) -> None:
+    """What has changed, and what is to be run again."""
+    if (data.run(profile, scene, "report") / MANIFEST).is_file():
+        run_steps([Step("report", scene)], profile, data)
+    versions = read_table(data.run(profile, scene, "align") / "versions.parquet", schema("align", "versions"))
+    number = int(versions["version"].max())
+    for row in versions[versions["version"] == number].to_dict("records"):
+        sd = f", median standard deviation {1000 * row['position_sd_m']:.1f} mm" if row["with_ground_truth"] else ""
+        classes = ", ".join(f"{name} {row[f'quality_{name}']}" for name in "ABC")
+        progress.stdout.print(
+            f"{scene}, version {number}: {row['session_id']} {row['change']}, {row['with_ground_truth']} of "
+            f"{row['frames']} frames with ground truth ({classes}{sd})"
+        )
+    later = run_command(data.run(profile, scene, "report"))
+    progress.stdout.print(f"what was made from the ground truth before is outdated: {later}")

@@ -1,0 +1,216 @@
+"""Recordings added to a finished ground truth, and taken out of it, by the commands."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pycolmap
+import pytest
+from typer.testing import CliRunner
+
+from groundwalk import adding
+from groundwalk.geometry.fits import fit_yaw
+from groundwalk.geometry.poses import rotation_angle
+from groundwalk.pipeline import is_step_up_to_date, steps
+from groundwalk.store import DataRoot, UserError, execute, stage
+from groundwalk.store.files import hash_files, read_json, write_json
+from groundwalk.store.manifests import MANIFEST, output_hashes
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import poses_of, write_table
+from tests.sfm.textured_room import make_recording
+
+_STAGES = ("import", "sfm", "align")
+_WALKS = {"one": (1.5, 2.6), "two": (1.2, 2.2), "three": (1.35, 2.4)}
+_CONFIG = """
+[import]
+sampling = "all"
+check_convention = false
+[sfm]
+sequence_pairs = 3
+vio_pairs = 2
+retrieval_pairs = 3
+"""
+_FRAMES = 10
+
+
+class _Killed(BaseException):
+    pass
+
+
+def _build(data: DataRoot) -> None:
+    for name in _STAGES:
+        execute(adding.stage_of(name), "room", "tiny", data)
+
+
+def _command(data: DataRoot, *arguments: str) -> str:
+    more = ["--scene", "room", "--profile", "tiny", "--data", str(data.root)]
+    return CliRunner().invoke(adding.app, [*arguments, *more], catch_exceptions=False).output
+
+
+def _truth(data: DataRoot) -> pd.DataFrame:
+    return pd.read_parquet(data.run("tiny", "room", "align") / "ground_truth.parquet")
+
+
+def _files(data: DataRoot) -> dict[str, str]:
+    """Hashes of the captures and of all that stages wrote."""
+    folders = (data.captures("room"), *(data.run("tiny", "room", name) for name in _STAGES))
+    return {
+        str(f): h
+        for folder in folders
+        for f, h in hash_files(data.root, (p for p in folder.rglob("*") if p.is_file())).items()
+    }
+
+
+@pytest.fixture(scope="module")
+def walks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three walks in one room."""
+    folder = tmp_path_factory.mktemp("walks")
+    for name, (height_m, distance_m) in _WALKS.items():
+        make_recording(folder / name, _FRAMES, height_m, distance_m)
+    return folder
+
+
+def _with(root: Path, walks: Path, *names: str) -> DataRoot:
+    data = DataRoot(root)
+    for name in names:
+        shutil.copytree(walks / name, data.captures("room") / name)
+    (root / "scenes").mkdir()
+    (root / "scenes" / "room.toml").write_text(_CONFIG)
+    _build(data)
+    return data
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory, walks: Path) -> Path:
+    """Ground truth of two walks."""
+    return _with(tmp_path_factory.mktemp("two"), walks, "one", "two").root
+
+
+@pytest.fixture
+def data(tmp_path: Path, finished: Path) -> DataRoot:
+    """The same, to be changed."""
+    return DataRoot(Path(shutil.copytree(finished, tmp_path / "data")))
+
+
+def test_an_added_walk_leaves_the_others_as_they_are_and_can_be_taken_out(
+    data: DataRoot, walks: Path, tmp_path: Path
+) -> None:
+    before = _truth(data).set_index("frame_id")
+    said = _command(data, "add", str(walks / "three"))
+    assert "room, version 2: three added, 10 of 10 frames with ground truth" in said
+    after = _truth(data).set_index("frame_id")
+    pd.testing.assert_frame_equal(after.loc[before.index], before, check_exact=True)
+    assert set(after.loc[after["session_id"] == "three", "quality"]) <= {"A", "B"} and len(after) == 3 * _FRAMES
+    # It is what the scene is made of: nothing is to be made again but what comes after.
+    todo = [s.command for s in steps(data, "tiny", "room", "align") if not is_step_up_to_date(s, "tiny", data)]
+    assert todo == ["report"]
+
+    # As a rebuild has it, whose frame differs by a turn about the vertical and a shift.
+    rebuilt = _truth(_with(tmp_path / "all", walks, *_WALKS)).set_index("frame_id").loc[after.index]
+    poses, others = poses_of(after, "map_cam"), poses_of(rebuilt, "map_cam")
+    placed = fit_yaw(others[:, :3, 3], poses[:, :3, 3]) @ poses
+    is_new = (after["session_id"] == "three").to_numpy()
+    off_m = np.linalg.norm(placed[:, :3, 3] - others[:, :3, 3], axis=1)[is_new]
+    off_rad = rotation_angle(np.swapaxes(placed[:, :3, :3], 1, 2) @ others[:, :3, :3])[is_new]
+    assert off_m.max() < 0.01 and np.degrees(off_rad).max() < 0.05
+    # Neither surer than a rebuild, which moves all to fit, nor much less.
+    ratio = after.loc[is_new, "position_sd_m"] / rebuilt.loc[is_new, "position_sd_m"]
+    assert 0.8 < ratio.median() < 3
+
+    _command(data, "remove", "three")
+    pd.testing.assert_frame_equal(_truth(data).set_index("frame_id"), before, check_exact=True)
+    versions = pd.read_parquet(data.run("tiny", "room", "align") / "versions.parquet")
+    assert versions[["version", "change", "session_id"]].to_numpy().tolist() == [
+        [1, "built", "one"],
+        [1, "built", "two"],
+        [2, "added", "three"],
+        [3, "removed", "three"],
+    ]
+    assert (data.captures("room") / ".removed" / "three" / "frames.jsonl").is_file()
+
+
+def test_a_walk_that_does_not_fit_is_refused_with_the_reason_and_changes_nothing(
+    data: DataRoot, walks: Path, tmp_path: Path
+) -> None:
+    make_recording(tmp_path / "elsewhere", _FRAMES, 1.4, 2.5, seed=20)
+    shutil.copytree(walks / "one", tmp_path / "again")
+    before = _files(data)
+    for recording, reason in (
+        (tmp_path / "elsewhere", "don't fit the map"),
+        (tmp_path / "again", "again is a recording that the scene has already"),
+        (walks / "one", "the captures have one already"),
+        (tmp_path / "nowhere", "the recording isn't there"),
+    ):
+        with pytest.raises(UserError, match=reason):
+            _command(data, "add", str(recording))
+        assert _files(data) == before and not (data.run("tiny", "room") / ".change.partial").exists()
+
+
+@pytest.mark.slow
+def test_a_map_of_two_places_that_look_alike_takes_no_walk_that_fits_both(data: DataRoot, walks: Path) -> None:
+    """Walk two is put elsewhere in the model, as if its room were another one."""
+    folder = data.run("tiny", "room", "sfm") / "model"
+    model, apart = pycolmap.Reconstruction(folder), pycolmap.Reconstruction()
+    for image in model.images.values():
+        apart.add_camera_with_trivial_rig(model.camera(image.camera_id))
+        keypoints = np.array([p.xy for p in image.points2D])
+        copied = pycolmap.Image(
+            name=image.name, keypoints=keypoints, camera_id=image.camera_id, image_id=image.image_id
+        )
+        pose = image.cam_from_world()
+        shift = np.array([50.0, 0, 0]) if image.name.startswith("two") else np.zeros(3)
+        apart.add_image_with_trivial_frame(
+            copied, pycolmap.Rigid3d(pose.rotation, pose.translation - pose.rotation.matrix() @ shift)
+        )
+    for point in model.points3D.values():
+        for walk, along_x in (("one", 0.0), ("two", 50.0)):
+            seen = [e for e in point.track.elements if model.image(e.image_id).name.startswith(walk)]
+            if len(seen) > 1:
+                apart.add_point3D(point.xyz + np.array([along_x, 0, 0]), pycolmap.Track(seen))
+    apart.write_binary(folder)
+    images = data.run("tiny", "room", "sfm") / "images.parquet"
+    table = pd.read_parquet(images)
+    table.loc[table["frame_id"].str.startswith("two"), "sfm_cam_tx"] += 50
+    write_table(images, table, schema("sfm", "images"))
+    manifest = read_json(folder.parent / MANIFEST)
+    write_json(folder.parent / MANIFEST, manifest | {"outputs": output_hashes(folder.parent)})
+    changed = DataRoot(data.root / "change", data.run("tiny", "room"), holds=True)
+    shutil.copytree(data.captures("room"), changed.captures("room"))
+    shutil.copytree(walks / "three", changed.captures("room") / "three")
+    shutil.copytree(data.root / "scenes", changed.root / "scenes")
+    execute(adding.stage_of("import"), "room", "tiny", changed)
+    with pytest.raises(UserError, match="at two places"):
+        execute(adding.stage_of("sfm"), "room", "tiny", changed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", ["a stage", "moving"])
+def test_a_command_that_was_killed_is_finished_by_the_same_one(
+    data: DataRoot, walks: Path, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    before, killed = _files(data), False
+
+    def kill_once(function: Callable[..., object]) -> Callable[..., object]:
+        def killing(*arguments: object) -> object:
+            nonlocal killed
+            if not killed and (where == "moving" or getattr(arguments[0], "name", "") == "align"):
+                killed = True
+                raise _Killed
+            return function(*arguments)
+
+        return killing
+
+    if where == "moving":
+        monkeypatch.setattr(adding, "swap_in", kill_once(adding.swap_in))
+    else:
+        monkeypatch.setattr(stage, "execute", kill_once(stage.execute))
+    with pytest.raises(_Killed):
+        _command(data, "add", str(walks / "three"))
+    if where == "a stage":
+        assert _files(data) == before
+    said = _command(data, "add", str(walks / "three"))
+    assert "version 2: three added" in said and not (data.run("tiny", "room") / ".change.partial").exists()
+    todo = [s.command for s in steps(data, "tiny", "room", "align") if not is_step_up_to_date(s, "tiny", data)]
+    assert todo == ["report"]
