@@ -1,6 +1,7 @@
 """recording.rrd: the model in the map, ground truth by quality, VIO beside it, and their distance over time."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,7 @@ from groundwalk.alignment.sessions import SessionFit
 from groundwalk.geometry.poses import Array, quaternion_from_matrix, transform
 from groundwalk.store.choices import QualityClass
 from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
-from groundwalk.store.recording import TIMELINE, UP_AXIS, log_camera, log_path, set_time
+from groundwalk.store.recording import TIMELINE, UP_AXIS, log_camera, log_images, log_path, set_time
 
 _QUALITY_COLOURS = {QualityClass.A: GROUND_TRUTH, QualityClass.B: (110, 200, 170), QualityClass.C: NEUTRAL}
 # Sessions in the residuals' two plots; grey, green and orange mean something else.
@@ -26,14 +27,17 @@ _BOUND_95 = 2.7955
 _CAMERA_FRACTION, _CAMERA_RANGE_M = 0.04, (0.03, 0.3)
 
 
-def blueprint() -> rrb.Blueprint:
-    """The map beside how far VIO is from ground truth over time."""
+def blueprint(sessions: Sequence[str]) -> rrb.Blueprint:
+    """The map beside each session's images, and how far VIO is from ground truth over time."""
+    images = [rrb.Spatial2DView(origin=f"images/{session}", name=session) for session in sessions]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Spatial3DView(origin="map", name="Map: ground truth and VIO"),
             rrb.Vertical(
+                rrb.Tabs(*images, name="images"),
                 rrb.TimeSeriesView(origin="residuals/position_m", name="VIO from ground truth, metres"),
                 rrb.TimeSeriesView(origin="residuals/rotation_deg", name="VIO from ground truth, degrees"),
+                row_shares=[2, 1, 1],
             ),
             column_shares=[3, 2],
         ),
@@ -77,6 +81,13 @@ def log_sessions(rec: rr.RecordingStream, fits: Sequence[SessionFit], frames: pd
     for fit in fits:
         colour = _SESSION_COLOURS[sessions.index(fit.segment.session_id) % len(_SESSION_COLOURS)]
         _log_segment(rec, fit, frames, camera_m, colour)
+
+
+def log_sights(rec: rr.RecordingStream, frames: pd.DataFrame, image_path: Callable[[str], Path]) -> None:
+    """What each session saw."""
+    for session, rows in frames.groupby("session_id"):
+        since = (rows["t_ns"] - rows["t_ns"].min()).to_numpy()
+        log_images(rec, f"images/{session}", rows, [(TIMELINE, since)], image_path)
 
 
 def camera_length_m(truth: pd.DataFrame) -> float:

@@ -23,7 +23,14 @@ from groundwalk.alignment.drift import ALL
 from groundwalk.alignment.ground_truth import AlignResult, build, camera_sd, poses_in_map
 from groundwalk.alignment.held import in_map_before, refusal_of_added, versions_table, with_rows_before
 from groundwalk.alignment.plot import draw_checks
-from groundwalk.alignment.recording import blueprint, camera_length_m, log_frames, log_models, log_sessions
+from groundwalk.alignment.recording import (
+    blueprint,
+    camera_length_m,
+    log_frames,
+    log_models,
+    log_sessions,
+    log_sights,
+)
 from groundwalk.alignment.reference.agreement import describe_agreement
 from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.rulers.detection import find_rulers
@@ -84,10 +91,11 @@ def run(r: StageRun[AlignSettings]) -> None:
     for line in _summary(result, checked.checks, registered):
         r.say(line)
     _write_origin(r, reference)
-    with r.step("recording"), r.recording(blueprint()) as rec:
+    with r.step("recording"), r.recording(blueprint(sorted(frames["session_id"].unique()))) as rec:
         log_models(rec, result.placed, r.read("sfm", "points"))
         log_frames(rec, result.ground_truth, result.map_T_cam, frames)
         log_sessions(rec, result.fits, frames, camera_length_m(result.ground_truth))
+        log_sights(rec, frames, r.image_path)
 
 
 def _read(r: StageRun[AlignSettings]) -> AlignInputs:

@@ -1,10 +1,13 @@
 """The fuse stage's recording: where each source says the device was, and why, as the walk plays."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -15,7 +18,7 @@ from groundwalk.fusion.walk import known
 from groundwalk.geometry.poses import Array, quaternion_from_matrix
 from groundwalk.store import colours
 from groundwalk.store.colours import localiser_colours
-from groundwalk.store.recording import TIMELINE, UP_AXIS, log_path
+from groundwalk.store.recording import TIMELINE, UP_AXIS, log_images, log_path
 
 FRAME_TIMELINE = "frame"  # sessions one after the other, however far apart their clocks
 
@@ -75,7 +78,10 @@ def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> r
             },
         )
         name = f"{scene} · {model}"
-        tabs.append(rrb.Horizontal(paths, plots, column_shares=[3, 2], name=name))
+        image = rrb.Spatial2DView(origin=f"{_path(scene)}/image", name="image")
+        tabs.append(
+            rrb.Horizontal(rrb.Vertical(paths, image, row_shares=[2, 1]), plots, column_shares=[3, 2], name=name)
+        )
     return rrb.Blueprint(
         rrb.Tabs(*tabs), rrb.TimePanel(timeline=FRAME_TIMELINE, state="collapsed"), collapse_panels=True
     )
@@ -115,17 +121,24 @@ def _signal_view(at: str, method: str, signal: str, gate: float | None) -> rrb.T
     return rrb.TimeSeriesView(origin=f"{at}/signals/{method}/{signal}", name=signal, axis_y=axis)
 
 
-def record(stream: rr.RecordingStream, fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> None:
-    """Log what each method said of each walk. `gates` has the thresholds of each method's signals."""
+def record(
+    stream: rr.RecordingStream,
+    fused: list[Fused],
+    gates: Mapping[str, Mapping[str, float]],
+    frames: Mapping[str, pd.DataFrame],
+    image_path: Callable[[str, str], Path],
+) -> None:
+    """Log what each method said of each walk. `gates` has the thresholds of each method's signals; `frames` each
+    scene's rows of import.frames, and `image_path` the file of one of their images, by entry and scene."""
     starts: dict[tuple[str, str, str], int] = {}
-    frames: Counter[str] = Counter()
+    counted: Counter[str] = Counter()
     for f in fused:
         walk, method = f.walk, f.run.method
         key = (walk.scene, walk.session_id, walk.split)
         first = key not in starts
         if first:
-            starts[key] = frames[walk.scene]
-            frames[walk.scene] += len(walk)
+            starts[key] = counted[walk.scene]
+            counted[walk.scene] += len(walk)
         times = [
             rr.TimeColumn(FRAME_TIMELINE, sequence=starts[key] + np.arange(len(walk))),
             rr.TimeColumn(TIMELINE, duration=(walk.t_ns - walk.t_ns[0]).astype("timedelta64[ns]")),
@@ -135,6 +148,9 @@ def record(stream: rr.RecordingStream, fused: list[Fused], gates: Mapping[str, M
         if first:
             stream.log(scene, UP_AXIS, static=True)
             _log_walk(stream, f"{scene}/ground_truth", name, times, walk.map_T_cam, colours.GROUND_TRUTH)
+            seen = frames[walk.scene].set_index("frame_id").loc[walk.frame_id]
+            at_frame = [(FRAME_TIMELINE, starts[key] + np.arange(len(walk))), (TIMELINE, walk.t_ns - walk.t_ns[0])]
+            log_images(stream, f"{scene}/image", seen, at_frame, partial(image_path, scene=walk.scene))
         if not METHODS[method].fuses:
             _log_walk(stream, f"{at}/{method}", name, times, f.live_map_T_cam, _colour(f), 0.5)
         else:

@@ -31,7 +31,8 @@ def run(r: StageRun[FuseSettings]) -> None:
     for error in results.left_out:
         r.figure(f"left out: {error.what}", f"{error.details['where']}: {error.reason}")
     with r.step("recording"), r.recording(blueprint(results.fused, results.gates)) as stream:
-        record(stream, results.fused, results.gates)
+        frames = {leaf: r.dataset_frames(leaf) for leaf in r.leaves}
+        record(stream, results.fused, results.gates, frames, r.image_path)
     for line in report_lines(results):
         r.say(line)
 

@@ -1,5 +1,6 @@
 """Images of import.frames: which file each is, and its pixels."""
 
+import math
 from pathlib import Path
 
 import cv2
@@ -60,3 +61,19 @@ def read_image(path: Path, *, halved: bool = False) -> Image:
 def read_grey_image(path: Path) -> Image:
     """An image file in grey (H, W); as `read_image`."""
     return np.asarray(cv2.cvtColor(read_image(path), cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+def small_jpeg(path: Path, long_side: int, gravity_x: float, gravity_y: float) -> bytes:
+    """A small JPEG of an image file, turned by quarters so that gravity (camera axes, x right, y down; NaN: unknown)
+    points down in it as far as it can."""
+    image = cv2.cvtColor(read_image(path, halved=True), cv2.COLOR_RGB2BGR)
+    scale = min(1.0, long_side / max(image.shape[:2]))
+    image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    if not math.isnan(gravity_x + gravity_y):
+        quarters = round(math.degrees(math.atan2(gravity_x, gravity_y)) / 90) % 4
+        turns = {1: cv2.ROTATE_90_CLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_COUNTERCLOCKWISE}
+        image = cv2.rotate(image, turns[quarters]) if quarters else image
+    done, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 70])
+    if not done:
+        raise RuntimeError(f"no JPEG of {path}")
+    return jpeg.tobytes()

@@ -5,21 +5,26 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+import pandas as pd
 import rerun as rr
 
 from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rows import evenly
 from groundwalk.store.files import written_aside
+from groundwalk.store.images import small_jpeg
+from groundwalk.store.parallel import in_parallel
 
 UP_AXIS = rr.ViewCoordinates.RIGHT_HAND_Y_UP
 TIMELINE = "time"
 """The clock of every recording: since the first frame of the walk."""
 
 _CHUNK = 1 << 20
+_MAX_IMAGES, _IMAGE_PX = 500, 320  # of a walk: some 7 MB
 
 
 @contextlib.contextmanager
@@ -97,6 +102,32 @@ def log_camera(
         ),
         static=static,
     )
+
+
+def log_images(
+    stream: rr.RecordingStream,
+    path: str,
+    frames: pd.DataFrame,
+    times: list[tuple[str, Array]],
+    image_path: Callable[[str], Path],
+) -> None:
+    """Small upright images of rows of import.frames; of a long walk not all, and those whose file is gone are left out:
+    no result hangs on them. `times` (N,) are those of the frames on each timeline: numbers of frames, or nanoseconds
+    since the walk's first."""
+    files = [image_path(image) for image in frames["image"]]
+    there = np.flatnonzero([file.is_file() for file in files])
+    shown = there[evenly(len(there), _MAX_IMAGES)]
+    gravity = frames[["gravity_x", "gravity_y"]].to_numpy(float)
+    jpegs = list(in_parallel(lambda row: small_jpeg(files[row], _IMAGE_PX, *gravity[row]), shown))
+    indexes = [
+        rr.TimeColumn(name, duration=at[shown].astype("timedelta64[ns]"))
+        if name == TIMELINE
+        else rr.TimeColumn(name, sequence=at[shown])
+        for name, at in times
+    ]
+    if jpegs:
+        columns = rr.EncodedImage.columns(blob=jpegs, media_type=["image/jpeg"] * len(jpegs))
+        stream.send_columns(path, indexes=indexes, columns=columns)
 
 
 def log_path(

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import cv2
+import numpy as np
 from rerun.chunk import RrdReader
 
 from groundwalk.fusion.evaluation.evaluate import evaluate
@@ -26,10 +28,13 @@ def test_every_source_has_its_own_path_and_moves_with_the_walk(tmp_path: Path) -
     for table in (frames, truth, predictions):
         table["session_id"] = table["session_id"].map({"s1": "first walk/a", "s2": "s2"})
     methods = ["raw", "paper_rule", "drift_aware", "vio_oracle"]
+    frames["image"] = [f"{session}.png" for session in frames["session_id"].str[:2]]
+    cv2.imwrite(str(tmp_path / "s2.png"), np.zeros((6, 8, 3), np.uint8))  # those of the other walk are gone
     inputs = Inputs("Place", frames, truth, predictions.assign(model="PN: ü 2/3"))
     results = evaluate([inputs], FuseSettings(methods=methods))
     with open_recording(tmp_path / "r.rrd", "fuse", "Place", blueprint(results.fused, results.gates)) as stream:
-        record(stream, results.fused, results.gates)
+        frames = frames.assign(gravity_x=0.0, gravity_y=1.0)
+        record(stream, results.fused, results.gates, {"Place": frames}, lambda image, scene: tmp_path / image)
     rows, at = rows_of(tmp_path / "r.rrd"), "/Place/PN\\:\\ ü\\ 2\\/3"
     fused = [m for m in methods if m != "raw"]
     moving = [
@@ -42,6 +47,7 @@ def test_every_source_has_its_own_path_and_moves_with_the_walk(tmp_path: Path) -
     gated = [f"{at}/signals/paper_rule/{s}/{k}" for s in ("similarity", "rpe_m", "roe_deg") for k in ("value", "gate")]
     for path in (*moving, *series, *decisions, *gated):
         assert rows[path] == 80, path
+    assert rows["/Place/image"] == (frames["session_id"] == "s2").sum()
     for kind in ("ground_truth", "PN\\:\\ ü\\ 2\\/3/raw", "PN\\:\\ ü\\ 2\\/3/fused/drift_aware"):
         for session in ("first\\ walk\\/a", "s2"):
             assert f"/Place/{kind}/path/{session}/test" in rows
