@@ -100,7 +100,7 @@ test: lint #! Checks and tests, under ten minutes on two cores
 		wait $$types && exit $$tests; cat build/types.txt; exit 1
 
 test-page: $(installed) #! Reports' page in a real browser: needs chromium and the extra `page` (pip install -e '.[page]')
-	@$(py) -m pytest -rs tests/reports/test_browser.py
+	@$(py) -m pytest -rs -s tests/reports/test_browser.py
 
 test-slow: $(installed) #! Whole-pipeline cases
 	@$(py) -m pytest -m slow

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import pandas as pd
 
@@ -178,3 +179,58 @@ def published_cells(tables: PrintedTables, scenes: list[SceneInputs]) -> pd.Data
             more = keys | {"statistic": statistic, "quantity": name}
             add(TABLE_III, s, s["subset"], column, value, str(s[f"{quantity}_text"]), "%", **more)
     return pd.DataFrame(rows)
+
+
+@dataclass(frozen=True)
+class Reached:
+    """What a localiser reaches over all test frames, alone or with the method that is ahead, as Table IV prints it."""
+
+    model: str
+    name: str
+    is_structure: bool
+    is_fused: bool
+    position: str
+    rotation: str
+    levels: str
+    coverage: str
+    interval: str
+
+
+def reached(scene: SceneInputs, cells: pd.DataFrame) -> list[Reached]:
+    """What each localiser reaches; none without errors."""
+    ours = cells[(cells["source"] == OURS) & (cells["scene"] == scene.name) & (cells["table"] == TABLE_IV)]
+    ours = ours[ours["row"] == "all"]
+    found = []
+    for model in scene.models:
+        for method in dict.fromkeys([RAW_METHOD, scene.best(model)]):
+            of_way = ours[(ours["model"] == model) & (ours["method"] == method)].drop_duplicates(
+                ["statistic", "quantity"]
+            )
+            text = of_way.set_index(["statistic", "quantity"])["text"]
+            if method is None or text.empty:
+                continue
+            found.append(
+                Reached(
+                    model=model,
+                    name=scene.label(model) + (scene.method_labels[method] or ", alone"),
+                    is_structure=model in set(scene.localisers["model"]),
+                    is_fused=method not in scene.raw_methods,
+                    position=text["median", "translation"],
+                    rotation=text["median", "rotation"],
+                    levels="/".join(text["level", level] for level in LEVELS),
+                    coverage=text["coverage", "frames"],
+                    interval=_interval(scene, model, method),
+                )
+            )
+    return found
+
+
+def _interval(scene: SceneInputs, model: str, method: str) -> str:
+    """The bounds of the median position error in time, where fuse took test frames alone."""
+    i = scene.intervals
+    found = i[(i["model"] == model) & (i["method"] == method) & (i["subset"] == "all")]
+    found = found[found["figure"] == "position_median_m"][["low", "high"]].astype(float)
+    if scene.evaluated_splits != "test" or found.empty or found.iloc[0].isna().all():
+        return EMPTY
+    low, high = found.iloc[0]
+    return f"{number(low, digits_of(low))} to {'infinite' if math.isnan(high) else number(high, digits_of(high))}"

@@ -15,7 +15,7 @@ class ReportSettings(Settings):
 
 STAGE = Stage(
     name="report",
-    version=18,
+    version=19,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import",),

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from groundwalk.reports.cells import LEVELS, TABLE_IV, digits_of, number
+from groundwalk.reports.cells import LEVELS, Reached, digits_of, number
 from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.reports.published import RAW_METHOD
 from groundwalk.reports.run_checks import AGREES
 from groundwalk.reports.statistics import by_walk
 from groundwalk.reports.verdict import Problem, Verdict
@@ -38,27 +37,9 @@ def _range(values: pd.Series) -> str:
     return " to ".join(dict.fromkeys(f"{v:.3g}" for v in (known.min(), known.max()))) if len(known) else EMPTY
 
 
-def headline(scene: SceneInputs, cells: pd.DataFrame) -> Grid | None:
-    """What each localiser reaches over all test frames, alone and with the method that is ahead, as Table IV has it;
-    None without errors. Its caption says what stands by each of these numbers."""
-    ours = cells[(cells["source"] == OURS) & (cells["scene"] == scene.name) & (cells["table"] == TABLE_IV)]
-    ours = ours[ours["row"] == "all"]
-    rows, chosen = [], 0
-    for model in scene.models:
-        best = scene.best(model)
-        if scene.ahead(model) and scene.validation is not None:
-            chosen = int(scene.validation.loc[scene.validation["model"] == model, "frames"].max())
-        for method in dict.fromkeys([RAW_METHOD, best]):
-            of_way = ours[(ours["model"] == model) & (ours["method"] == method)].drop_duplicates(
-                ["statistic", "quantity"]
-            )
-            text = of_way.set_index(["statistic", "quantity"])["text"]
-            if method is None or text.empty:
-                continue
-            medians = [text["median", quantity] for quantity in ("translation", "rotation")]
-            levels = "/".join(text["level", level] for level in LEVELS)
-            name = scene.label(model) + (scene.method_labels[method] or ", alone")
-            rows.append([name, *medians, levels, text["coverage", "frames"], _interval(scene, model, method)])
+def headline(scene: SceneInputs, found: list[Reached]) -> Grid | None:
+    """What each localiser reaches; None where that isn't known. Its caption says what stands by each number."""
+    rows = [[r.name, r.position, r.rotation, r.levels, r.coverage, r.interval] for r in found]
     columns = ["localiser", f"median position ({scene.unit.symbol})", "median rotation (°)"]
     columns += ["high/medium/low (%)", "coverage (%)", "95 % of the median position"]
     truth = scene.ground_truth.loc[scene.ground_truth["frame_id"].isin(scene.errors["frame_id"])]
@@ -73,19 +54,12 @@ def headline(scene: SceneInputs, cells: pd.DataFrame) -> Grid | None:
         "structure"
     )
     caption += ". 95 %: the median with other walks, by drawing the sessions again; with few it says little"
-    caption += f". Methods were chosen by {chosen} frames held out of training." if chosen else "."
+    chosen = 0
+    if scene.validation is not None:
+        ahead = scene.validation["model"].isin([model for model in scene.models if scene.ahead(model)])
+        chosen = scene.validation.loc[ahead, "frames"].max() if ahead.any() else 0
+    caption += f". Methods were chosen by {chosen:.0f} frames held out of training." if chosen else "."
     return _grid(f"headline-{scene.name}", "Localisers", caption, columns, rows) if rows else None
-
-
-def _interval(scene: SceneInputs, model: str, method: str) -> str:
-    """The bounds of the median position error in time, where fuse took test frames alone."""
-    i = scene.intervals
-    found = i[(i["model"] == model) & (i["method"] == method) & (i["subset"] == "all")]
-    found = found[found["figure"] == "position_median_m"][["low", "high"]].astype(float)
-    if scene.evaluated_splits != "test" or found.empty or found.iloc[0].isna().all():
-        return EMPTY
-    low, high = found.iloc[0]
-    return f"{number(low, digits_of(low))} to {'infinite' if math.isnan(high) else number(high, digits_of(high))}"
 
 
 def classes(scene: SceneInputs, verdict: Verdict) -> Grid:

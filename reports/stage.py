@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from groundwalk.reports import cells, details, page, style
+from groundwalk.reports import cells, page, style
 from groundwalk.reports.definition import ReportSettings
 from groundwalk.reports.figures import scene_figures
 from groundwalk.reports.grids import OURS, Grid, html_table, latex, markdown
@@ -40,7 +40,7 @@ def run(r: StageRun[ReportSettings]) -> None:
         (r.work / "page.html").write_text(html, encoding="utf-8")
         for section in sections:
             file = "verdict.json" if len(sections) == 1 else f"verdict-{section.scene.name}.json"
-            write_json(r.work / file, as_json(section.scene, section.verdict, section.grids["headline"]))
+            write_json(r.work / file, as_json(section.scene, section.verdict, section.reached))
         if images := [image for section in sections for image, _ in section.sheet]:
             (r.work / THUMBNAIL).write_bytes(b64decode(images[len(images) // 2].partition(",")[2]))
     r.figure("checks", len(findings))
@@ -70,13 +70,13 @@ def _section(r: StageRun[ReportSettings], scene: SceneInputs, all_cells: pd.Data
         part: [page.Picture(style.save(f.figure, folder, f"{scene.name}-{f.name}"), f.caption) for f in figures]
         for part, figures in scene_figures(scene).items()
     }
-    headline = details.headline(scene, all_cells)
-    return page.section(scene, judge(scene), lambda image: r.image_path(image, scene.name), pictures, headline)
+    reached = cells.reached(scene, all_cells)
+    return page.section(scene, judge(scene), lambda image: r.image_path(image, scene.name), pictures, reached)
 
 
 def _say(r: StageRun[ReportSettings], sections: list[page.SceneSection]) -> None:
     for section in sections:
-        scene, verdict, headline = section.scene, section.verdict, section.grids["headline"]
+        scene, verdict = section.scene, section.verdict
         r.say(f"{scene.name}: {verdict.state}: {verdict.why}")
         if scene.simulated:
             r.say(f"{scene.name} is simulated, and so are its numbers")
@@ -86,7 +86,7 @@ def _say(r: StageRun[ReportSettings], sections: list[page.SceneSection]) -> None
             r.say(f"{scene.name}: the regressors' accuracy means nothing: {reason}")
         if why := scene.why_alone():
             r.say(f"{scene.name}: {why}")
-        for row in (row for block in headline.blocks for row in block.rows) if headline else ():
-            name, metres, degrees, _, coverage, _ = row.cells
-            r.say(f"{scene.name}: {name}: median {metres} {scene.unit.symbol}, {degrees}°; {coverage} % have a pose")
+        for of in section.reached:
+            figures = f"median {of.position} {scene.unit.symbol}, {of.rotation}°; {of.coverage} % have a pose"
+            r.say(f"{scene.name}: {of.name}: {figures}")
     r.say(f"page: {r.data.run(r.profile, r.scene.name, 'report') / 'page.html'}")

@@ -10,7 +10,8 @@ import pandas as pd
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, fit_yaw, pose_residuals
 from groundwalk.geometry.poses import Array
-from groundwalk.reports.grids import EMPTY, Grid, Row
+from groundwalk.reports.cells import Reached
+from groundwalk.reports.grids import EMPTY
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.scoring.errors import SURE_CLASSES, within_bounds
 from groundwalk.store.choices import CheckName, DriftDefinition, MapUnit, QualityClass
@@ -276,7 +277,7 @@ def drift_by_distance(scene: SceneInputs) -> list[dict[str, float]]:
     return rows.sort_values("interval")[list(names)].rename(columns=names).to_dict("records")  # type: ignore[return-value]
 
 
-def as_json(scene: SceneInputs, verdict: Verdict, localisers: Grid | None) -> dict[str, Any]:
+def as_json(scene: SceneInputs, verdict: Verdict, localisers: list[Reached]) -> dict[str, Any]:
     """The content of verdict.json: the headline, every localiser as the page's first screen has it, and every frame."""
     figures = scene.manifests["align"]["figures"] if "align" in scene.stages else {}
     trusted, (coverage, longest) = verdict.trusted, verdict.coverage()
@@ -302,7 +303,7 @@ def as_json(scene: SceneInputs, verdict: Verdict, localisers: Grid | None) -> di
         "why": verdict.why,
         "length_unit": scene.unit.symbol,
         "headline": _plain(headline),
-        "localisers": [_localiser(row) for block in localisers.blocks for row in block.rows] if localisers else [],
+        "localisers": [_localiser(of) for of in localisers],
         "true_errors": None if verdict.true_errors is None else _plain(vars(verdict.true_errors)),
         "vio_error_by_distance": [_plain(row) for row in drift_by_distance(scene)],
         "problems": [vars(problem) for problem in verdict.problems],
@@ -310,11 +311,19 @@ def as_json(scene: SceneInputs, verdict: Verdict, localisers: Grid | None) -> di
     }
 
 
-def _localiser(row: Row) -> dict[str, Any]:
-    name, *texts = row.cells
-    position, rotation, coverage = (None if text == EMPTY else float(text) for text in (*texts[:2], texts[3]))
-    numbers = {"median_position": position, "median_rotation_deg": rotation, "coverage": coverage}
-    return {"localiser": name, **numbers}
+def _localiser(of: Reached) -> dict[str, Any]:
+    position, rotation, coverage = (
+        None if text == EMPTY else float(text) for text in (of.position, of.rotation, of.coverage)
+    )
+    return {
+        "localiser": of.name,
+        "model": of.model,
+        "kind": "structure localiser" if of.is_structure else "regressor",
+        "fused": of.is_fused,
+        "median_position": position,
+        "median_rotation_deg": rotation,
+        "coverage": coverage,
+    }
 
 
 def _plain(row: dict[Any, Any]) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pandas as pd
 from markupsafe import escape
@@ -16,9 +15,10 @@ from markupsafe import escape
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
 from groundwalk.reports.inputs import SceneInputs
+from groundwalk.reports.style import model_colours
 from groundwalk.reports.verdict import Verdict
 from groundwalk.store.choices import QualityClass
-from groundwalk.store.images import read_image
+from groundwalk.store.images import small_jpeg
 from groundwalk.store.progress import track
 from groundwalk.store.tables import poses_of
 
@@ -125,7 +125,7 @@ def frame_data(scene: SceneInputs, verdict: Verdict, image_path: Callable[[str],
     UserError where an image can't be read any more.
     """
     frames = verdict.frames
-    poses = scene.frames.set_index("frame_id").loc[frames["frame_id"]]
+    shots = scene.frames.set_index("frame_id").loc[frames["frame_id"]]
     unit = scene.unit.symbol
     truth = scene.ground_truth.set_index("frame_id").reindex(frames["frame_id"])
     refusals: dict[str, list[str]] = {}
@@ -136,21 +136,26 @@ def frame_data(scene: SceneInputs, verdict: Verdict, image_path: Callable[[str],
         f"ground truth from the truth ({unit})": frames["true_error"],
     }
     answers: dict[str, list[list[float | None]]] = {}
+    recall: list[dict[str, Any]] = []
+    colours, row_of = model_colours(scene), {frame_id: row for row, frame_id in enumerate(frames["frame_id"])}
 
-    def add(name: str, errors: pd.Series, poses: pd.DataFrame, group: str) -> None:
-        figures[name] = errors.reindex(frames["frame_id"])
+    def add(name: str, model: str, errors: pd.DataFrame, column: str, poses: pd.DataFrame, group: str) -> None:
+        errors = errors.set_index("frame_id")
+        figures[name] = errors[column].reindex(frames["frame_id"])
+        tested = [row_of[frame_id] for frame_id in errors.index[errors["split"] == "test"]]
+        recall.append({"name": name, "colour": colours[model], "fused": group != "map_cam", "rows": tested})
         poses = poses.drop_duplicates("frame_id").set_index("frame_id").reindex(frames["frame_id"])
         if plan := plan_of(frames):
             answers[name] = [_numbers(axis) for axis in plan.drawn(poses_of(poses, group)[:, :3, 3]).T]
 
     for model in scene.models:
         best, label = scene.best(model), scene.label(model)
-        fused = scene.frame_errors(model, best).set_index("frame_id")
         predicted = scene.predictions[scene.predictions["model"] == model]
-        add(f"{label} alone ({unit})", fused["raw_position_m"], predicted, "map_cam")
+        add(f"{label} alone ({unit})", model, scene.raw_errors(model), "raw_position_m", predicted, "map_cam")
         if best and best not in scene.raw_methods:
             name = f"{label}{scene.method_labels[best]} in time ({unit})"
-            add(name, fused["live_position_m"], scene.fused_poses(model, best), "live_map_cam")
+            fused, poses = scene.frame_errors(model, best), scene.fused_poses(model, best)
+            add(name, model, fused, "live_position_m", poses, "live_map_cam")
         if model in set(scene.localisers["model"]):
             said = predicted.set_index("frame_id").reindex(frames["frame_id"])
             figures[f"{label}, inliers"] = said["inliers"]
@@ -159,7 +164,7 @@ def frame_data(scene: SceneInputs, verdict: Verdict, image_path: Callable[[str],
     images = [
         thumbnail(image_path(image), x, y) if row in shown else ""
         for row, (image, x, y) in enumerate(
-            track(list(zip(poses["image"], poses["gravity_x"], poses["gravity_y"], strict=True)), "reading images")
+            track(list(zip(shots["image"], shots["gravity_x"], shots["gravity_y"], strict=True)), "reading images")
         )
     ]
     content = {
@@ -174,6 +179,7 @@ def frame_data(scene: SceneInputs, verdict: Verdict, image_path: Callable[[str],
         "rotation": [_numbers(truth[f"map_cam_{axis}"]) for axis in ("qw", "qx", "qy", "qz")],
         "figures": {name: _numbers(values) for name, values in figures.items() if values.notna().any()},
         "answers": answers,
+        "recall": recall,
         "refusals": refusals,
         "image": images,
     }
@@ -186,24 +192,9 @@ def _numbers(values: Any) -> list[float | None]:
 
 def thumbnail(path: Path, gravity_x: float, gravity_y: float) -> str:
     """A small upright JPEG of an image as a data address."""
-    image = cv2.cvtColor(read_image(path, halved=True), cv2.COLOR_RGB2BGR)
-    scale = min(1.0, _THUMBNAIL_PX / max(image.shape[:2]))
-    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    done, jpeg = cv2.imencode(".jpg", upright(small, gravity_x, gravity_y), [cv2.IMWRITE_JPEG_QUALITY, 70])
-    if not done:
-        raise RuntimeError(f"no JPEG of {path}")
-    return data_address("jpeg", jpeg.tobytes())
+    return data_address("jpeg", small_jpeg(path, _THUMBNAIL_PX, gravity_x, gravity_y))
 
 
 def data_address(kind: str, content: bytes) -> str:
     """A picture as an address that holds it."""
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
-
-
-def upright(image: np.ndarray, gravity_x: float, gravity_y: float) -> np.ndarray:
-    """An image turned by quarters so that gravity (camera axes, x right, y down) points down in it as far as it can."""
-    if math.isnan(gravity_x) or math.isnan(gravity_y):
-        return image
-    quarters = round(math.degrees(math.atan2(gravity_x, gravity_y)) / 90) % 4
-    turns = {1: cv2.ROTATE_90_CLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_COUNTERCLOCKWISE}
-    return cv2.rotate(image, turns[quarters]) if quarters else image

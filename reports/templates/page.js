@@ -160,6 +160,35 @@ for (const box of document.querySelectorAll(".frames")) {
     });
     if (marks.length) show(Number(marks[at.indexOf(Math.min(...at))].dataset.row));
   });
+  /* Which share of the test frames is within an error, by localiser. */
+  const recall = box.querySelector(".recall"), [session, limit] = recall.querySelectorAll("select, input");
+  const curves = data.recall.map(({ name, colour, fused }) => {
+    const path = document.createElementNS("http://www.w3.org/2000/svg", "path"), line = make("i", { className: "line" });
+    const shown = make("input", { type: "checkbox", checked: true }), share = make("b");
+    path.style.stroke = line.style.borderColor = colour;
+    if (!fused) path.style.strokeDasharray = "6 4", line.style.borderTopStyle = "dashed";
+    recall.querySelector("svg").append(path);
+    recall.querySelector(".about").before(make("label", { className: "key" }, [shown, line, `${name} `, share]));
+    return { path, shown, share };
+  });
+  const error = (step) => 10 ** (3 * step / 100 - 2);
+  const count = () => {
+    recall.querySelector("output").textContent = `${say(error(limit.value))} ${data.unit}`;
+    recall.querySelector(".now").setAttribute("d", `M${10 * limit.value} 0V100`);
+    data.recall.forEach(({ name, rows: tested }, i) => {
+      const asked = tested.filter((row) => !session.value || data.session[row] === session.value);
+      const errors = asked.map((row) => data.figures[name]?.[row] ?? Infinity);
+      const within = (step) => 100 * errors.filter((e) => e <= error(step)).length / errors.length;
+      const points = curves[i].shown.checked && errors.length ? Array.from({ length: 101 }, (_, step) => `${10 * step} ${(100 - within(step)).toFixed(1)}`) : [];
+      curves[i].path.setAttribute("d", points.length ? `M${points.join("L")}` : "");
+      curves[i].share.textContent = errors.length ? `${within(limit.value).toFixed(1)} %` : "–";
+    });
+  };
+  for (const name of new Set(data.recall.flatMap((r) => r.rows.map((row) => data.session[row])))) session.add(new Option(name, name));
+  recall.addEventListener("input", count);
+  recall.hidden = !data.recall.length;
+  if (data.recall.length) count();
+
   box.querySelector(".controls").hidden = false;
   if (data.id.length) show(0);
 }
