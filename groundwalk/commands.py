@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
+from groundwalk.closing import closing_lines
 from groundwalk.pipeline import USER_ERROR, Reported, run_steps, steps
 from groundwalk.store import progress
 from groundwalk.store.__main__ import link_captures
@@ -56,9 +57,12 @@ def run(
     if captures is not None:
         link_captures(scene, captures, data)
     run_steps(steps(root, profile, scene, until), profile, root)
-    page = root.run(profile, scene, "report") / "page.html"
-    if page.is_file():  # a group of scenes may have none of its own
-        progress.console.print(f"Look at {page}, or: {view_command(root.run(profile, scene))}")
+    report = root.run(profile, scene, "report")
+    if verdict := read_json(report / VERDICT):  # a group of scenes has one for each
+        for line in closing_lines(verdict):
+            progress.console.print(line)
+    if (report / "page.html").is_file():  # a group of scenes may have none of its own
+        progress.console.print(f"look at {report / 'page.html'}, or: {view_command(root.run(profile, scene))}")
 
 
 @app.command()

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +11,9 @@ from groundwalk.cli import stage_of
 from groundwalk.simulation.existing import is_up_to_date as captures_are_up_to_date
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.store.errors import UserError
+from groundwalk.store.files import read_json
 from groundwalk.store.inputs import capture_files, hashes_of_named, no_captures
+from groundwalk.store.manifests import MANIFEST
 from groundwalk.store.outdated import is_up_to_date
 from groundwalk.store.progress import console
 from groundwalk.store.settings import STAGES, DataRoot, resolve_settings
@@ -21,6 +24,17 @@ USER_ERROR = 2  # the exit status of a command that a user can do something abou
 _REPORT = STAGES[-1]
 _SHOWN_AT_ONCE = ("align", "localise", "train")
 """Stages after which the report is written, though more follow: what they found needn't wait for hours of training."""
+_DEMO_S = {
+    "simulate": 120,
+    "import": 12,
+    "sfm": 135,
+    "align": 20,
+    "localise": 60,
+    "train": 210,
+    "fuse": 30,
+    "report": 20,
+}
+"""Seconds on two cores of each command of simulated Church in profile demo, with the report that follows it."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +85,15 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
     """
     for step in commands:
         check(step, Step("simulate", step.scene) in commands, profile, data)
+    usual_s = {step: _usual_seconds(step, Step("simulate", step.scene) in commands, profile, data) for step in commands}
+    took_s: dict[Step, float] = {}
     for step, following in zip(commands, [*commands[1:], None], strict=True):
         if is_step_up_to_date(step, profile, data):
             console.print(f"{step.command} · {step.scene} · {profile}: up to date")
+            usual_s[step] = 0.0
             continue
-        report = Step(_REPORT, step.scene)
+        console.print(_how_far(step, usual_s, took_s))
+        start, report = time.monotonic(), Step(_REPORT, step.scene)
         status = _run(step, profile, data)
         if status == USER_ERROR and report in commands and step.command in ("sfm", "align"):
             # It says what was refused; the reason lies in a partial folder, which is none of its inputs.
@@ -84,6 +102,29 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
             status = _run(report, profile, data)
         if status:
             sys.exit(status)
+        took_s[step] = time.monotonic() - start
+
+
+def _usual_seconds(step: Step, is_simulated: bool, profile: str, data: DataRoot) -> float | None:
+    """What a command took the last time, or takes in a demo; None where neither is known."""
+    last = read_json(data.run(profile, step.scene, step.command) / MANIFEST).get("total_seconds")
+    if isinstance(last, float | int):
+        return float(last)
+    return _DEMO_S[step.command] if is_simulated and profile == "demo" else None
+
+
+def _how_far(step: Step, usual_s: dict[Step, float | None], took_s: dict[Step, float]) -> str:
+    """Which stage begins, and how long all that is ahead takes, by how quick those before were this time."""
+    commands = list(usual_s)
+    stages = [other for other in commands if other.command != "simulate"]
+    text = f"stage {stages.index(step) + 1} of {len(stages)}" if step in stages else "captures first"
+    ahead = [usual_s[other] for other in commands[commands.index(step) :]]
+    known = [seconds for seconds in ahead if seconds is not None]
+    if len(known) < len(ahead):
+        return text
+    before = sum(usual_s[other] or 0.0 for other in took_s)
+    left_s = sum(known) * (sum(took_s.values()) / before if before else 1.0)
+    return f"{text} · about {max(1, round(left_s / 60))} min left"
 
 
 def check(step: Step, is_simulated: bool, profile: str, data: DataRoot) -> None:

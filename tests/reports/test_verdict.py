@@ -10,11 +10,12 @@ import pandas as pd
 import pytest
 
 import groundwalk
+from groundwalk.closing import closing_lines
 from groundwalk.fusion.evaluation.summary import summarise
 from groundwalk.geometry.poses import make_pose, yaw_rotation
 from groundwalk.reports import stage
 from groundwalk.reports.definition import STAGE
-from groundwalk.store.files import write_json
+from groundwalk.store.files import read_json, write_json
 from groundwalk.store.manifests import load_manifest, output_hashes
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
@@ -206,6 +207,16 @@ def test_page_tables_terminal_summary_and_errors_agree_on_who_has_a_pose(
             assert f"{method}, {model}" in summary
             line = next(line for line in summary.splitlines() if line.startswith(f"{method}, {model} "))
             assert f"median {median:.2f} m" in line and f"{answered} of {frames} test frames have a pose" in line
+    closing = list(closing_lines(read_json(folder / "verdict.json")))
+    subjects = ["ground truth", "VIO", "best structure localiser", "best regressor"]
+    assert [line.split(":")[0] for line in closing] == subjects
+    assert f"Map, alone: median {float(headline['Map, alone'][1]):g} m" in closing[2]
+    best = min(("PN+VIO", "MS-T+VIO"), key=lambda name: float(headline[name][1]))
+    model = best.removesuffix("+VIO")
+    alone = headline[f"{model}, alone"][1]
+    assert f"{best}: median {float(headline[best][1]):g} m" in closing[3] and closing[3].endswith(
+        f"alone {float(alone):g} m"
+    )
     # What the paper's rule scores isn't called what it answers.
     assert "answers" not in (folder / "tables" / "table2.md").read_text()
 
