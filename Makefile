@@ -150,7 +150,7 @@ docs-site: $(installed) #! Build the documentation as a site, strictly, into bui
 	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet --strict
 	@echo "Look at build/site/index.html"
 
-pictures: $(installed) #! Take docs/images/page.jpg of a finished page (scene=Church profile=demo unless named); needs chromium
+pictures: $(installed) #! Take docs/images/page.jpg and recordings.jpg of a finished run (scene=Church profile=demo unless named); needs chromium and a Vulkan driver
 	@$(py) -m benchmarks.pictures --scene "$${scene:-Church}" --profile "$$profile"
 
 lock: #! Resolve the dependencies again into constraints.txt and hashes.txt (needs uv)
