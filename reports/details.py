@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -281,26 +280,6 @@ def consistency(scene: SceneInputs) -> Grid | None:
     return _grid(f"consistency-{scene.name}", "Consistency checks", caption, columns, rows, 3) if rows else None
 
 
-def models(scene: SceneInputs) -> Grid:
-    """The model cards, a column a model: their texts are too long for lines of a table."""
-    cards = _records(scene.cards)
-    facts: list[tuple[str, list[Any]]] = [
-        ("weights of the backbone", [c.weights for c in cards]),
-        ("layers", [c.layers or EMPTY for c in cards]),
-        ("reduced from the paper", _of_trained(cards, _reduced)),
-        ("trained on", [", ".join(c.scenes) for c in cards]),
-        ("device", [c.device for c in cards]),
-        ("parameters", _of_trained(cards, lambda c: f"{c.parameters:,.0f} ({c.bytes / 2**20:.1f} MiB)")),
-        ("input", _of_trained(cards, lambda c: f"{c.crop_px:.0f} px of {c.resize_px:.0f} px")),
-        ("frames", _of_trained(cards, lambda c: f"{c.train_frames:.0f} to train, {c.val_frames:.0f} held out")),
-        ("epochs", _of_trained(cards, lambda c: f"{c.epochs:.0f}, kept the one after {c.best_epoch:.0f}")),
-        ("time", _of_trained(cards, lambda c: format_seconds(c.train_seconds))),
-    ]
-    rows = [[name, *values] for name, values in facts]
-    columns = ["", *(scene.label(c.model) for c in cards)]
-    return _grid(f"models-{scene.name}", "Models", "What was trained, and how.", columns, rows, len(columns))
-
-
 def localisers(scene: SceneInputs) -> Grid | None:
     """What each structure localiser keeps, costs and refused; None where there is none."""
     test = scene.predictions[scene.predictions["split"] == "test"]
@@ -319,15 +298,6 @@ def localisers(scene: SceneInputs) -> Grid | None:
         "Built from the training frames alone; a refused frame counts as failed in all tables. Inliers: the median."
     )
     return _grid(f"localisers-{scene.name}", "Structure localisers", caption, columns, rows, 2) if rows else None
-
-
-def _of_trained(cards: list[Any], text: Callable[[Any], str]) -> list[str]:
-    """A line of the model cards; nothing is known of how imported predictions came about."""
-    return [text(card) if card.file else EMPTY for card in cards]
-
-
-def _reduced(card: Any) -> str:
-    return "not in the paper" if pd.isna(card.reduced) else card.reduced or "nothing"
 
 
 def checks(findings: pd.DataFrame, source: str) -> Grid | None:

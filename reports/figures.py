@@ -12,9 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from groundwalk.reports import style
-from groundwalk.reports.details import small_unit
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.scoring.scores import median_error
 from groundwalk.store.choices import MapUnit
 
 
@@ -34,7 +32,7 @@ def scene_figures(scene: SceneInputs) -> dict[str, list[NamedFigure]]:
         figures = {
             "drift": [drift(scene)] if len(scene.residuals) and scene.vio_sessions else [],
             "training": [learning_curves(scene)] if len(scene.history) else [],
-            "errors": [error_distributions(scene), costs(scene)] if has_errors else [],
+            "errors": [error_distributions(scene)] if has_errors else [],
         }
         for figure in chain.from_iterable(figures.values()):
             # A picture is passed on without its caption.
@@ -140,33 +138,3 @@ def _cumulative(ax: Axes, errors: pd.Series, rows: pd.DataFrame, colour: str, da
         share = 100 * np.arange(1, len(known) + 1) / len(test)
         # A zero has no place on the logarithmic axis.
         ax.step(np.maximum(known, 1e-3), share, where="post", color=colour, ls=dashes)
-
-
-def costs(scene: SceneInputs) -> NamedFigure:
-    """What accuracy costs: median position error of every model alone against its bytes and a query's time."""
-    figure, axes = style.new_figure(2, 2.0)
-    colours = style.model_colours(scene)
-    small, per_unit = small_unit(scene.unit)
-    kept = pd.concat([table[["model", "bytes"]] for table in (scene.cards, scene.localisers)])
-    size = kept.dropna().drop_duplicates("model").set_index("model")["bytes"]
-    for model in scene.models:
-        errors = scene.raw_errors(model)
-        raw = errors.loc[errors["split"] == "test", "raw_position_m"].to_numpy(float)
-        median = median_error(raw)
-        mib = float(size.get(model, np.nan)) / 2**20
-        for ax, cost in zip(axes, (mib, scene.runtime_ms(model)), strict=True):
-            if cost > 0 and np.isfinite([cost, median]).all():
-                ax.plot(cost, per_unit * max(median, 1e-5), "o", color=colours[model], ms=5)
-                place: Any = {"xytext": (5, 3), "textcoords": "offset points", "fontsize": 7.5}
-                ax.annotate(scene.label(model), (cost, per_unit * max(median, 1e-5)), **place)
-    for ax, label in zip(axes, ("what a query needs (MiB)", "a query (ms)"), strict=True):
-        ax.set(xscale="log", yscale="log", xlabel=label)
-        ax.margins(0.25)
-        ax.set_ylabel(f"median position ({small})")
-        style.log_axis(ax.xaxis)
-        style.log_axis(ax.yaxis)
-    caption = (
-        f"{scene.name}: accuracy against bytes and against time, of every model alone over all test frames; a frame "
-        "without a pose counts as failed. Times are the clock's, on the machine that made the predictions."
-    )
-    return NamedFigure("costs", caption, figure)

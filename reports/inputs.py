@@ -75,7 +75,6 @@ class SceneInputs:
     history: pd.DataFrame
     cards: pd.DataFrame
     localisers: pd.DataFrame
-    storage: pd.DataFrame
     poses: pd.DataFrame
     errors: pd.DataFrame
     intervals: pd.DataFrame
@@ -347,7 +346,6 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         history=trained("history"),
         cards=trained("models"),
         localisers=read("localise", "models"),
-        storage=read("localise", "storage"),
         poses=fused("poses"),
         errors=errors,
         intervals=fused("intervals"),

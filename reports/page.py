@@ -123,7 +123,6 @@ def section(
         "alignment": details.alignment(scene),
         "consistency": details.consistency(scene),
         "drift": details.drift(scene) if aligned else None,
-        "models": details.models(scene) if len(scene.cards) else None,
         "localisers": details.localisers(scene),
         "walks": details.walks(scene) if fused else None,
         "users": details.users(scene) if fused else None,

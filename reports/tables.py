@@ -25,7 +25,6 @@ SUBSET_TITLES = {
     "opt": "Only optimised poses",
     "rp+opt": "Reliable predictions and optimised poses",
 }
-_PARTS = 4  # parts of a structure localiser's storage that are named, the largest
 _ENVIRONMENTS = ("outdoor", "indoor", "unknown")
 _WAYS = ((RAW_METHOD, "all"), (RAW_METHOD, "subset"), (PAPER_METHOD, "subset"))
 _PUBLISHED_NOTE = (
@@ -83,21 +82,8 @@ class Tables:
             + "; ".join(f"{device} ({', '.join(names)})" for device, names in devices.items())
             + ". A regressor's is of a cropped image, a structure localiser's of a decoded image with its features. "
             "Published times were taken on an NVIDIA RTX 3090.",
-            *self._storage_notes(),
         ]
         return self._grid("table1", "Table I", "Datasets, and what a localiser costs", columns, blocks, notes)
-
-    def _storage_notes(self) -> list[str]:
-        """What a structure localiser's storage is made of."""
-        notes = []
-        for scene in self.scenes.values():
-            for model, parts in scene.storage.groupby("model", sort=False):
-                largest = parts.sort_values("bytes", ascending=False, kind="stable").head(_PARTS)
-                entry = [f"{part} {n / 2**20:.2f}" for part, n in zip(largest["part"], largest["bytes"], strict=True)]
-                rest = parts["bytes"].sum() - largest["bytes"].sum()
-                entry += [f"others {rest / 2**20:.2f}"] if rest else []
-                notes.append(f"{scene.name}, storage of {scene.label(str(model))} in MB: {', '.join(entry)}.")
-        return notes
 
     def errors(self) -> Grid:
         """Table II: mean and median error over each subset."""
@@ -320,6 +306,7 @@ def card_text(card: pd.Series) -> str:
         f"input {card['crop_px']:.0f} px",
         *([str(card["layers"])] if card["layers"] else []),
         f"{card['epochs']:.0f} epochs on {card['train_frames']:.0f} frames, seed {card['seed']}",
+        *([f"trained on {', '.join(card['scenes'])}"] if len(card["scenes"]) > 1 else []),
         _beside_the_paper(card["reduced"]),
     ]
     return f"{card['model']}: {'; '.join(parts)}"

@@ -216,13 +216,11 @@ def test_structure_localisers_stand_beside_the_regressors(make_run: MakeRun) -> 
     assert high == pytest.approx(100 * errors["raw_position_m"].notna().mean()) and high < 90  # a refusal fails
     assert "Map, same frames" in (folder / "tables" / "table2.md").read_text()
     table = (folder / "tables" / "table1.md").read_text()
-    assert "Yard, storage of Map in MB: descriptors 1.00, points 0.50." in table
     for number in (2, 3):
         text = (folder / "tables" / f"table{number}.md").read_text()
         assert f"Yard: Map refused {refused} of {len(said)} test frames" in text
     page = (folder / "page.html").read_text(encoding="utf-8")
     assert "Structure localisers" in page and f"{refused} thin_evidence of {len(said)}" in page
-    assert (folder / "figures" / "Yard-costs.png").is_file()
     assert "simulated, test walks in the training walks' light, tiny profile" in table
     findings = read_table(folder / "checks.parquet", schema("report", "checks"))
     wrong = findings[findings["check"] == "no_wrong_answer"]
@@ -346,7 +344,7 @@ def test_a_groups_own_models_replace_its_members(pair: tuple[DataRoot, Path]) ->
         assert list(ours["value"]) == pytest.approx([factor * errors["raw_position_m"].mean()] * 3)
     page = (folder / "page.html").read_text(encoding="utf-8")
     assert "train of both" in page and "fuse of both" in page
-    assert page.count(">Square, Hall</td>") == 2  # trained on, in each scene's model cards
+    assert "trained on Square, Hall" in (folder / "tables" / "table2.md").read_text()
 
 
 def test_tables_are_well_formed(church: tuple[DataRoot, Path], pair: tuple[DataRoot, Path]) -> None:
@@ -523,7 +521,7 @@ def test_without_vio_nothing_is_fused_and_the_report_says_so_once(
         of_row = cells[cells["row"] == row]
         assert of_row["value"].tolist() == [pytest.approx(pn["raw_position_m"].median())]
     assert not [name for name in drawings if "vio" in name]
-    assert {"Hall-error-distribution", "Hall-costs"} <= set(drawings)
+    assert "Hall-error-distribution" in drawings
     table2 = (report / "tables" / "table2.md").read_text()
     assert "All test frames" in table2 and table2.count("no VIO") == 1
     findings = pd.read_parquet(report / "checks.parquet")
