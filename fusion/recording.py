@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -148,9 +147,10 @@ def record(
         if first:
             stream.log(scene, UP_AXIS, static=True)
             _log_walk(stream, f"{scene}/ground_truth", name, times, walk.map_T_cam, colours.GROUND_TRUTH)
-            seen = frames[walk.scene].set_index("frame_id").loc[walk.frame_id]
+            seen = frames[walk.scene].set_index("frame_id").loc[list(walk.frame_id)]
             at_frame = [(FRAME_TIMELINE, starts[key] + np.arange(len(walk))), (TIMELINE, walk.t_ns - walk.t_ns[0])]
-            log_images(stream, f"{scene}/image", seen, at_frame, partial(image_path, scene=walk.scene))
+            files = [image_path(image, walk.scene) for image in seen["image"]]
+            log_images(stream, f"{scene}/image", seen, files, at_frame)
         if not METHODS[method].fuses:
             _log_walk(stream, f"{at}/{method}", name, times, f.live_map_T_cam, _colour(f), 0.5)
         else:

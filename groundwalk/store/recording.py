@@ -5,7 +5,7 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -108,13 +108,12 @@ def log_images(
     stream: rr.RecordingStream,
     path: str,
     frames: pd.DataFrame,
+    files: list[Path],
     times: list[tuple[str, Array]],
-    image_path: Callable[[str], Path],
 ) -> None:
-    """Small upright images of rows of import.frames; of a long walk not all, and those whose file is gone are left out:
-    no result hangs on them. `times` (N,) are those of the frames on each timeline: numbers of frames, or nanoseconds
-    since the walk's first."""
-    files = [image_path(image) for image in frames["image"]]
+    """Small upright images of rows of import.frames, one of the files each; of a long walk not all, and those whose
+    file is gone are left out: no result hangs on them. `times` (N,) are those of the frames on each timeline: numbers
+    of frames, or nanoseconds since the walk's first."""
     there = np.flatnonzero([file.is_file() for file in files])
     shown = there[evenly(len(there), _MAX_IMAGES)]
     gravity = frames[["gravity_x", "gravity_y"]].to_numpy(float)
