@@ -87,7 +87,8 @@ def log_sights(rec: rr.RecordingStream, frames: pd.DataFrame, image_path: Callab
     """What each session saw."""
     for session, rows in frames.groupby("session_id"):
         since = (rows["t_ns"] - rows["t_ns"].min()).to_numpy()
-        log_images(rec, f"images/{session}", rows, [image_path(image) for image in rows["image"]], [(TIMELINE, since)])
+        rows = rows.assign(file=[image_path(image) for image in rows["image"]])
+        log_images(rec, f"images/{session}", rows, [(TIMELINE, since)])
 
 
 def camera_length_m(truth: pd.DataFrame) -> float:

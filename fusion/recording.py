@@ -1,8 +1,7 @@
 """The fuse stage's recording: where each source says the device was, and why, as the walk plays."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -125,10 +124,9 @@ def record(
     fused: list[Fused],
     gates: Mapping[str, Mapping[str, float]],
     frames: Mapping[str, pd.DataFrame],
-    image_path: Callable[[str, str], Path],
 ) -> None:
-    """Log what each method said of each walk. `gates` has the thresholds of each method's signals; `frames` each
-    scene's rows of import.frames, and `image_path` the file of one of their images, by entry and scene."""
+    """Log what each method said of each walk. `gates` has the thresholds of each method's signals; `frames`, of scenes
+    with images, the rows of import.frames and the `file` of each."""
     starts: dict[tuple[str, str, str], int] = {}
     counted: Counter[str] = Counter()
     for f in fused:
@@ -147,10 +145,10 @@ def record(
         if first:
             stream.log(scene, UP_AXIS, static=True)
             _log_walk(stream, f"{scene}/ground_truth", name, times, walk.map_T_cam, colours.GROUND_TRUTH)
-            seen = frames[walk.scene].set_index("frame_id").loc[list(walk.frame_id)]
-            at_frame = [(FRAME_TIMELINE, starts[key] + np.arange(len(walk))), (TIMELINE, walk.t_ns - walk.t_ns[0])]
-            files = [image_path(image, walk.scene) for image in seen["image"]]
-            log_images(stream, f"{scene}/image", seen, files, at_frame)
+            if walk.scene in frames:
+                seen = frames[walk.scene].set_index("frame_id").loc[list(walk.frame_id)]
+                at_frame = [(FRAME_TIMELINE, starts[key] + np.arange(len(walk))), (TIMELINE, walk.t_ns - walk.t_ns[0])]
+                log_images(stream, f"{scene}/image", seen, at_frame)
         if not METHODS[method].fuses:
             _log_walk(stream, f"{at}/{method}", name, times, f.live_map_T_cam, _colour(f), 0.5)
         else:

@@ -31,10 +31,14 @@ def run(r: StageRun[FuseSettings]) -> None:
     for error in results.left_out:
         r.figure(f"left out: {error.what}", f"{error.details['where']}: {error.reason}")
     with r.step("recording"), r.recording(blueprint(results.fused, results.gates)) as stream:
-        frames = {leaf: r.dataset_frames(leaf) for leaf in r.leaves}
-        record(stream, results.fused, results.gates, frames, r.image_path)
+        record(stream, results.fused, results.gates, {leaf: _with_files(r, leaf) for leaf in r.leaves})
     for line in report_lines(results):
         r.say(line)
+
+
+def _with_files(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:
+    frames = r.dataset_frames(leaf)
+    return frames.assign(file=[r.image_path(image, leaf) for image in frames["image"]])
 
 
 def _predictions(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:

@@ -17,7 +17,8 @@ def closing_lines(verdict: dict[str, Any]) -> Iterator[str]:
     if (scale_sd := headline["scale_sd"]) is not None:
         text += f"; scale ± {100 * scale_sd:.2g} %"
     if (true := verdict["true_errors"]) is not None:
-        text += f"; {per_unit * true['position']:.2g} {small} from the simulator's truth"
+        stated = f"± {per_unit * true['position_stated']:.2g} {small} are stated with scale and vertical"
+        text += f"; {per_unit * true['position']:.2g} {small} from the simulator's truth, where {stated}"
     yield f"ground truth: {text}"
     if drifts := verdict["vio_error_by_distance"]:
         drift = min(drifts, key=lambda row: abs(row["distance_m"] - 5))

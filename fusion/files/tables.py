@@ -41,7 +41,7 @@ def evaluate_files(files: Files, out: Path, scene: str, overrides: list[str], fo
         for name, table in results.tables.items():
             write_table(folder / f"{name}.parquet", table, schema("fuse", name))
         with open_recording(folder / RECORDING, "fuse", scene, blueprint(results.fused, results.gates)) as stream:
-            record(stream, results.fused, results.gates)
+            record(stream, results.fused, results.gates, {})
         _write_note(folder, files, scene, settings, dict(results.counts))
     for line in report_lines(results):
         console.print(line)

@@ -108,12 +108,12 @@ def log_images(
     stream: rr.RecordingStream,
     path: str,
     frames: pd.DataFrame,
-    files: list[Path],
     times: list[tuple[str, Array]],
 ) -> None:
-    """Small upright images of rows of import.frames, one of the files each; of a long walk not all, and those whose
+    """Small upright images of rows of import.frames with the `file` of each; of a long walk not all, and those whose
     file is gone are left out: no result hangs on them. `times` (N,) are those of the frames on each timeline: numbers
     of frames, or nanoseconds since the walk's first."""
+    files = frames["file"].tolist()
     there = np.flatnonzero([file.is_file() for file in files])
     shown = there[evenly(len(there), _MAX_IMAGES)]
     gravity = frames[["gravity_x", "gravity_y"]].to_numpy(float)

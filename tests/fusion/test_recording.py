@@ -33,8 +33,8 @@ def test_every_source_has_its_own_path_and_moves_with_the_walk(tmp_path: Path) -
     inputs = Inputs("Place", frames, truth, predictions.assign(model="PN: ü 2/3"))
     results = evaluate([inputs], FuseSettings(methods=methods))
     with open_recording(tmp_path / "r.rrd", "fuse", "Place", blueprint(results.fused, results.gates)) as stream:
-        frames = frames.assign(gravity_x=0.0, gravity_y=1.0)
-        record(stream, results.fused, results.gates, {"Place": frames}, lambda image, scene: tmp_path / image)
+        frames = frames.assign(gravity_x=0.0, gravity_y=1.0, file=[tmp_path / image for image in frames["image"]])
+        record(stream, results.fused, results.gates, {"Place": frames})
     rows, at = rows_of(tmp_path / "r.rrd"), "/Place/PN\\:\\ ü\\ 2\\/3"
     fused = [m for m in methods if m != "raw"]
     moving = [
