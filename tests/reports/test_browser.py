@@ -136,7 +136,7 @@ def test_recall_follows_threshold_session_and_localiser(browser: Any, run: Path)
         recall.locator("select").select_option(session)
         recall.locator("input[type=range]").fill(str(step))
         asked = tested[tested["session_id"] == session] if session else tested
-        within = (asked["apr_position_m"] <= 10 ** (3 * step / 100 - 2)).mean()
+        within = (asked["raw_position_m"] <= 10 ** (3 * step / 100 - 2)).mean()
         assert shown.inner_text() == f"{100 * within:.1f} %"
     drawn = "paths => paths.filter(path => path.getAttribute('d')?.includes('L')).length"
     before = recall.locator("path").evaluate_all(drawn)
