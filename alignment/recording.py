@@ -87,7 +87,7 @@ def log_sights(rec: rr.RecordingStream, frames: pd.DataFrame, image_path: Callab
     """What each session saw."""
     for session, rows in frames.groupby("session_id"):
         since = (rows["t_ns"] - rows["t_ns"].min()).to_numpy()
-        rows = rows.assign(file=[image_path(image) for image in rows["image"]])
+        rows = rows.assign(file=rows["image"].map(image_path))
         log_images(rec, f"images/{session}", rows, [(TIMELINE, since)])
 
 

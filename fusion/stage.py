@@ -38,7 +38,7 @@ def run(r: StageRun[FuseSettings]) -> None:
 
 def _with_files(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:
     frames = r.dataset_frames(leaf)
-    return frames.assign(file=[r.image_path(image, leaf) for image in frames["image"]])
+    return frames.assign(file=frames["image"].map(lambda image: r.image_path(image, leaf)))
 
 
 def _predictions(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:
