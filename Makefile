@@ -105,7 +105,7 @@ test-page: $(installed) #! Reports' page in a real browser: needs chromium and t
 test-slow: $(installed) #! Whole-pipeline cases
 	@$(py) -m pytest -m slow
 
-test-faults: $(installed) #! Damage, kills, full disks, two at once: a table of faults
+test-faults: $(installed) #! Damage, kills, full disks, hostile names and texts: a table of faults
 	@$(py) -m benchmarks.faults
 
 audit: #! Known vulnerabilities of the pinned dependencies (pip-audit); needs a network

@@ -21,7 +21,7 @@ from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import read_table
+from groundwalk.store.tables import poses_of, read_table
 
 CameraChoice = Literal["captured", "opencv"]
 
@@ -110,6 +110,13 @@ def main(
             "opencv: an OPENCV camera a session, started at the logged intrinsics and refined."
         ),
     ] = "opencv",
+    prior_sd_m: Annotated[
+        float,
+        typer.Option(
+            help="Give it the VIO's positions as priors with this standard error and a robust loss; of the first "
+            "session alone, as each has axes of its own. 0: none."
+        ),
+    ] = 0.0,
 ) -> None:
     """Map an imported scene with stock COLMAP."""
     sfm_settings, root = SfmSettings.model_validate_json(settings), DataRoot(data)
@@ -141,7 +148,21 @@ def main(
     if camera == "captured":
         options.ba_refine_focal_length = options.ba_refine_extra_params = False
         options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
+    if prior_sd_m:
+        _write_priors(database, frames, prior_sd_m)
+        options.use_prior_position = options.use_robust_loss_on_prior_position = True
     pycolmap.incremental_mapping(database, images, out, options)
+
+
+def _write_priors(database: Path, frames: pd.DataFrame, sd_m: float) -> None:
+    centre = poses_of(frames, "vio_cam")[:, :3, 3]
+    is_known = (frames["session_id"] == frames["session_id"].iloc[0]).to_numpy() & np.isfinite(centre).all(axis=1)
+    with pycolmap.Database.open(database) as opened:
+        for row in np.flatnonzero(is_known).tolist():
+            prior = pycolmap.PosePrior(position=centre[row], position_covariance=sd_m**2 * np.eye(3))
+            prior.corr_data_id = opened.read_image(image_id(row)).data_id
+            prior.coordinate_system = pycolmap.PosePriorCoordinateSystem.CARTESIAN
+            opened.write_pose_prior(prior)
 
 
 def _match(database: Path, images: int) -> None:

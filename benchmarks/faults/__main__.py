@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.faults import artefacts, machine, stops
+from benchmarks.faults import artefacts, machine, names, rooms, stops
 from benchmarks.faults.case import Case, Outcome
 from benchmarks.faults.sandbox import Sandbox, digest, make_sandbox, run_case, workers
 from benchmarks.results import circumstances, markdown_table, write_page
@@ -28,7 +28,9 @@ def single_cases(base: Sandbox, machine_count: int = 8) -> list[Case]:
         *artefacts.cases(base),
         *artefacts.image_cases(),
         *artefacts.output_cases(),
+        *names.cases(),
         *machine.cases(machine_count),
+        *rooms.cases(base),
     ]
 
 

@@ -75,6 +75,13 @@ def mount_read_only(stage: str) -> None:
     _mount("-o", "remount,ro,bind", runs)
 
 
+def mount_at(place: Path) -> None:
+    """Before a command: the folder `place`, below the current one, is a mount point."""
+    _separate_mounts()
+    place.mkdir(exist_ok=True)
+    _mount("--bind", str(place), str(place))
+
+
 def _separate_mounts() -> None:
     """Mounts of this process are its own from now on, and end with it."""
     if ctypes.CDLL(None, use_errno=True).unshare(_CLONE_NEWNS):
