@@ -34,7 +34,7 @@ _DEMO_S = {
     "fuse": 45,
     "report": 36,
 }
-"""Seconds that each command of simulated Church takes in profile demo on two idle cores, 19 min 41 s in all."""
+"""Seconds of each command of simulated Church in profile demo on two cores, until a run has measured them here."""
 
 
 @dataclass(frozen=True)
