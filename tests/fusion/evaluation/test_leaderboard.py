@@ -93,7 +93,7 @@ def test_lags_are_held_against_none() -> None:
 
 def test_the_command_writes_table_figures_and_plot(tmp_path: Path) -> None:
     laid(tmp_path / "in", "walks/Place", [1])
-    command = ["fusion", "leaderboard", f"{tmp_path}/in", f"--data={tmp_path}", "--methods=smoother"]
+    command = ["leaderboard", f"{tmp_path}/in", f"--data={tmp_path}", "--methods=smoother"]
     found = CliRunner().invoke(app, [*command, f"--out={tmp_path}/out"])
     assert found.exit_code == 0, found.output
     leaderboard._refuse_other_files(tmp_path / "out")  # an earlier one is replaced
