@@ -10,7 +10,7 @@ from groundwalk.alignment.check_models import refusal
 from groundwalk.alignment.checked_map import CheckedMap
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.fits import similarity_of_poses
 from groundwalk.store import UserError
 from groundwalk.store.choices import GroundTruthChange, QualityClass
 from groundwalk.store.manifests import load_manifest
@@ -32,23 +32,18 @@ def in_map_before(checked: CheckedMap, frames: pd.DataFrame, images: pd.DataFram
             exclusion[component.registered_rows] = "its SfM model isn't in the map that was there"
             continue
         # The same similarity took each of these rows to the map.
-        in_map, in_sfm = map_T_cam[known], sfm_T_cam[known]
-        rotation = in_map[0, :3, :3] @ in_sfm[0, :3, :3].T
-        spread_m, spread = (
-            np.linalg.norm(poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)) for poses in (in_map, in_sfm)
-        )
-        scale = figures["metres_per_sfm_unit"] if not number else float(spread_m / spread)
-        origin = in_map[:, :3, 3].mean(axis=0) - scale * rotation @ in_sfm[:, :3, 3].mean(axis=0)
+        scale = None if number else figures["metres_per_sfm_unit"]
+        map_S_sfm = similarity_of_poses(map_T_cam[known], sfm_T_cam[known], scale)
         sds = (component.scale.sd, component.vertical.sd)
         if not number:
             scale_sd, tilt_deg = figures["scale_sd"], figures["vertical_sd_deg"]
             sds = (np.nan if scale_sd is None else scale_sd, np.radians(np.nan if tilt_deg is None else tilt_deg))
         component = replace(
             component,
-            scale=replace(component.scale, log=float(np.log(scale)), sd=sds[0]),
-            vertical=replace(component.vertical, up_sfm=rotation[1], sd=sds[1]),
+            scale=replace(component.scale, log=float(np.log(map_S_sfm.scale)), sd=sds[0]),
+            vertical=replace(component.vertical, up_sfm=map_S_sfm.rotation[1], sd=sds[1]),
         )
-        placed.append(replace(each, component=component, map_S_sfm=Sim3(scale, rotation, origin)))
+        placed.append(replace(each, component=component, map_S_sfm=map_S_sfm))
     of_index = {each.component.index: each.component for each in placed}
     return replace(
         checked,

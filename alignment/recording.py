@@ -83,7 +83,7 @@ def log_sessions(rec: rr.RecordingStream, fits: Sequence[SessionFit], frames: pd
         _log_segment(rec, fit, frames, camera_m, colour)
 
 
-def log_sights(rec: rr.RecordingStream, frames: pd.DataFrame, image_path: Callable[[str], Path]) -> None:
+def log_session_images(rec: rr.RecordingStream, frames: pd.DataFrame, image_path: Callable[[str], Path]) -> None:
     """What each session saw."""
     for session, rows in frames.groupby("session_id"):
         since = (rows["t_ns"] - rows["t_ns"].min()).to_numpy()

@@ -28,8 +28,8 @@ from groundwalk.alignment.recording import (
     camera_length_m,
     log_frames,
     log_models,
+    log_session_images,
     log_sessions,
-    log_sights,
 )
 from groundwalk.alignment.reference.agreement import describe_agreement
 from groundwalk.alignment.reference.poses import Reference
@@ -95,7 +95,7 @@ def run(r: StageRun[AlignSettings]) -> None:
         log_models(rec, result.placed, r.read("sfm", "points"))
         log_frames(rec, result.ground_truth, result.map_T_cam, frames)
         log_sessions(rec, result.fits, frames, camera_length_m(result.ground_truth))
-        log_sights(rec, frames, r.image_path)
+        log_session_images(rec, frames, r.image_path)
 
 
 def _read(r: StageRun[AlignSettings]) -> AlignInputs:

@@ -15,7 +15,7 @@ import pycolmap
 import typer
 
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.database import Ints, create_database, image_id, image_name
+from groundwalk.sfm.database import Ints, create_database, image_id, image_names
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot
@@ -123,7 +123,7 @@ def main(
     frames = read_table(root.run(profile, scene, "import") / "frames.parquet", schema("import", "frames"))
     shutil.rmtree(out, ignore_errors=True)
     images, database = out / "images", out / "database.db"
-    names = [image_name(i, image) for i, image in zip(frames["frame_id"], frames["image"], strict=True)]
+    names = image_names(frames)
     for name, image in zip(names, frames["image"], strict=True):
         inside = image.removeprefix("import:")
         source = (root.captures(scene) if inside == image else root.run(profile, scene, "import")) / inside

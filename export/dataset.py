@@ -11,7 +11,7 @@ import pandas as pd
 
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.cameras import Camera, pinhole_within
-from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.fits import Sim3, similarity_of_poses
 from groundwalk.geometry.poses import Array
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.choices import MapUnit, QualityClass, VerticalSource
@@ -238,7 +238,7 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
             SfmModel(
                 folders["sfm"] / folder_of[component == index][0],
                 ids[component == index].tolist(),
-                _similarity(map_T_cam[component == index], sfm_T_cam[component == index]),
+                similarity_of_poses(map_T_cam[component == index], sfm_T_cam[component == index]),
             )
             for index in np.unique(component).tolist()
         ],
@@ -265,12 +265,3 @@ def _lens_shift_px(camera: Camera) -> float:
 def number(value: float) -> str:
     """A number as text that reads back the same."""
     return repr(float(value))
-
-
-def _similarity(map_T_cam: Array, sfm_T_cam: Array) -> Sim3:
-    """The map_S_sfm that align applied to these frames: exact, so that two frames far apart determine it."""
-    apart = np.linalg.norm(sfm_T_cam[:, :3, 3] - sfm_T_cam[0, :3, 3], axis=1)
-    far = int(np.argmax(apart))
-    scale = float(np.linalg.norm(map_T_cam[far, :3, 3] - map_T_cam[0, :3, 3]) / apart[far]) if apart[far] > 0 else 1.0
-    rotation = map_T_cam[0, :3, :3] @ sfm_T_cam[0, :3, :3].T
-    return Sim3(scale, rotation, map_T_cam[0, :3, 3] - scale * rotation @ sfm_T_cam[0, :3, 3])

@@ -182,7 +182,7 @@ def published_cells(tables: PrintedTables, scenes: list[SceneInputs]) -> pd.Data
 
 
 @dataclass(frozen=True)
-class Reached:
+class LocaliserErrors:
     """What a localiser reaches over all test frames, alone or with the method that is ahead, as Table IV prints it."""
 
     model: str
@@ -196,7 +196,7 @@ class Reached:
     interval: str
 
 
-def reached(scene: SceneInputs, cells: pd.DataFrame) -> list[Reached]:
+def localiser_errors(scene: SceneInputs, cells: pd.DataFrame) -> list[LocaliserErrors]:
     """What each localiser reaches; none without errors."""
     ours = cells[(cells["source"] == OURS) & (cells["scene"] == scene.name) & (cells["table"] == TABLE_IV)]
     ours = ours[ours["row"] == "all"]
@@ -210,7 +210,7 @@ def reached(scene: SceneInputs, cells: pd.DataFrame) -> list[Reached]:
             if method is None or text.empty:
                 continue
             found.append(
-                Reached(
+                LocaliserErrors(
                     model=model,
                     name=scene.label(model) + (scene.method_labels[method] or ", alone"),
                     is_structure=model in set(scene.localisers["model"]),

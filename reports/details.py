@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from groundwalk.reports.cells import LEVELS, Reached, digits_of, number
+from groundwalk.reports.cells import LEVELS, LocaliserErrors, digits_of, number
 from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.run_checks import AGREES
@@ -36,7 +36,7 @@ def _range(values: pd.Series) -> str:
     return " to ".join(dict.fromkeys(f"{v:.3g}" for v in (known.min(), known.max()))) if len(known) else EMPTY
 
 
-def headline(scene: SceneInputs, found: list[Reached]) -> Grid | None:
+def headline(scene: SceneInputs, found: list[LocaliserErrors]) -> Grid | None:
     """What each localiser reaches; None where that isn't known. Its caption says what stands by each number."""
     rows = [[r.name, r.position, r.rotation, r.levels, r.coverage, r.interval] for r in found]
     columns = ["localiser", f"median position ({scene.unit.symbol})", "median rotation (°)"]

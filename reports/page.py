@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from groundwalk.geometry.rows import evenly
 from groundwalk.reports import details
-from groundwalk.reports.cells import Reached
+from groundwalk.reports.cells import LocaliserErrors
 from groundwalk.reports.grids import OURS, Grid, html_table
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.templating import from_template
@@ -41,7 +41,7 @@ class SceneSection:
     frames: str
     checks_plot: str
     pictures: dict[str, list[Picture]]
-    reached: list[Reached]
+    localiser_errors: list[LocaliserErrors]
     grids: dict[str, Grid | None]
     settings: list[tuple[str, str]]
 
@@ -107,14 +107,14 @@ def section(
     verdict: Verdict,
     image_path: Callable[[str], Path],
     pictures: dict[str, list[Picture]],
-    reached: list[Reached],
+    localiser_errors: list[LocaliserErrors],
 ) -> SceneSection:
     """A scene's part of the page, as far as its stages are finished. UserError where an image can't be read."""
     frames = scene.frames.sort_values(["session_id", "t_ns"], kind="stable")
     chosen = frames.iloc[evenly(len(frames), _SHEET)] if len(frames) else frames
     aligned, fused = "align" in scene.stages, "fuse" in scene.stages
     grids: dict[str, Grid | None] = {
-        "headline": details.headline(scene, reached),
+        "headline": details.headline(scene, localiser_errors),
         "problems": details.problems(scene.name, verdict.problems),
         "classes": details.classes(scene, verdict) if aligned else None,
         "truth": details.true_errors(scene, verdict),
@@ -140,7 +140,7 @@ def section(
         frames=frame_data(scene, verdict, image_path),
         checks_plot=data_address("png", scene.checks_plot.read_bytes()) if scene.checks_plot else "",
         pictures=pictures,
-        reached=reached,
+        localiser_errors=localiser_errors,
         grids=grids,
         settings=details.stage_settings(scene),
     )

@@ -40,7 +40,7 @@ def run(r: StageRun[ReportSettings]) -> None:
         (r.work / "page.html").write_text(html, encoding="utf-8")
         for section in sections:
             file = "verdict.json" if len(sections) == 1 else f"verdict-{section.scene.name}.json"
-            write_json(r.work / file, as_json(section.scene, section.verdict, section.reached))
+            write_json(r.work / file, as_json(section.scene, section.verdict, section.localiser_errors))
         if images := [image for section in sections for image, _ in section.sheet]:
             (r.work / THUMBNAIL).write_bytes(b64decode(images[len(images) // 2].partition(",")[2]))
     r.figure("checks", len(findings))
@@ -70,8 +70,8 @@ def _section(r: StageRun[ReportSettings], scene: SceneInputs, all_cells: pd.Data
         part: [page.Picture(style.save(f.figure, folder, f"{scene.name}-{f.name}"), f.caption) for f in figures]
         for part, figures in scene_figures(scene).items()
     }
-    reached = cells.reached(scene, all_cells)
-    return page.section(scene, judge(scene), lambda image: r.image_path(image, scene.name), pictures, reached)
+    localiser_errors = cells.localiser_errors(scene, all_cells)
+    return page.section(scene, judge(scene), lambda image: r.image_path(image, scene.name), pictures, localiser_errors)
 
 
 def _say(r: StageRun[ReportSettings], sections: list[page.SceneSection]) -> None:
@@ -86,7 +86,7 @@ def _say(r: StageRun[ReportSettings], sections: list[page.SceneSection]) -> None
             r.say(f"{scene.name}: the regressors' accuracy means nothing: {reason}")
         if why := scene.why_alone():
             r.say(f"{scene.name}: {why}")
-        for of in section.reached:
+        for of in section.localiser_errors:
             figures = f"median {of.position} {scene.unit.symbol}, {of.rotation}°; {of.coverage} % have a pose"
             r.say(f"{scene.name}: {of.name}: {figures}")
     r.say(f"page: {r.data.run(r.profile, r.scene.name, 'report') / 'page.html'}")

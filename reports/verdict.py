@@ -10,7 +10,7 @@ import pandas as pd
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, fit_yaw, pose_residuals
 from groundwalk.geometry.poses import Array
-from groundwalk.reports.cells import Reached
+from groundwalk.reports.cells import LocaliserErrors
 from groundwalk.reports.grids import EMPTY
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.scoring.errors import SURE_CLASSES, within_bounds
@@ -277,7 +277,7 @@ def drift_by_distance(scene: SceneInputs) -> list[dict[str, float]]:
     return rows.sort_values("interval")[list(names)].rename(columns=names).to_dict("records")  # type: ignore[return-value]
 
 
-def as_json(scene: SceneInputs, verdict: Verdict, localisers: list[Reached]) -> dict[str, Any]:
+def as_json(scene: SceneInputs, verdict: Verdict, localisers: list[LocaliserErrors]) -> dict[str, Any]:
     """The content of verdict.json: the headline, every localiser as the page's first screen has it, and every frame."""
     figures = scene.manifests["align"]["figures"] if "align" in scene.stages else {}
     trusted, (coverage, longest) = verdict.trusted, verdict.coverage()
@@ -311,7 +311,7 @@ def as_json(scene: SceneInputs, verdict: Verdict, localisers: list[Reached]) -> 
     }
 
 
-def _localiser(of: Reached) -> dict[str, Any]:
+def _localiser(of: LocaliserErrors) -> dict[str, Any]:
     position, rotation, coverage = (
         None if text == EMPTY else float(text) for text in (of.position, of.rotation, of.coverage)
     )

@@ -17,9 +17,10 @@ from groundwalk.geometry.poses import Array, inverse, make_pose
 Ints = NDArray[np.int64]
 
 
-def image_name(frame_id: str, image: str) -> str:
-    """The name of a frame in COLMAP: its id with the file's suffix, without spaces, which separate names in lists."""
-    return quote(frame_id, safe="/") + Path(image).suffix
+def image_names(frames: pd.DataFrame) -> list[str]:
+    """Names of frames in COLMAP: their ids with the file's suffix, without spaces, which separate names in lists."""
+    pairs = zip(frames["frame_id"], frames["image"], strict=True)
+    return [quote(frame_id, safe="/") + Path(image).suffix for frame_id, image in pairs]
 
 
 def image_id(row: int) -> int:

@@ -22,7 +22,7 @@ from groundwalk.sfm.database import (
     copy_features,
     copy_matches,
     create_database,
-    image_name,
+    image_names,
     is_sound,
     keypoint_counts,
 )
@@ -55,9 +55,9 @@ def linked_images(r: StageRun[SfmSettings], frames: pd.DataFrame) -> Workspace:
             found=len(frames),
             do="capture more, or let import keep more (its table rejects says what was left out and why)",
         )
-    names = []
-    for frame_id, image in zip(frames["frame_id"], frames["image"], strict=True):
-        source, name = r.image_path(image), image_name(frame_id, image)
+    names = image_names(frames)
+    for frame_id, image, name in zip(frames["frame_id"], frames["image"], names, strict=True):
+        source = r.image_path(image)
         if not source.is_file():
             hint = run_command(r.data.run(r.profile, r.scene.name, "import"))
             raise UserError(f"the image of frame {frame_id} is missing", where=source, do=hint)
@@ -65,7 +65,6 @@ def linked_images(r: StageRun[SfmSettings], frames: pd.DataFrame) -> Workspace:
         if not link.is_symlink():
             link.parent.mkdir(parents=True, exist_ok=True)
             link.symlink_to(source.absolute())
-        names.append(name)
     return Workspace(r.scratch / "images", names, r.scratch)
 
 

@@ -79,6 +79,17 @@ def fit_se3(xyz_a: ArrayLike, xyz_b: ArrayLike, weights: ArrayLike | None = None
     return make_pose(rotation, mean_a - rotation @ mean_b)
 
 
+def similarity_of_poses(a_T_cam: Array, b_T_cam: Array, scale: float | None = None) -> Sim3:
+    """The a_S_b that took poses of b to those of a (N, 4, 4), but for rounding; where they are all in one place, its
+    scale is 1 unless it is given."""
+    xyz_a, xyz_b = a_T_cam[:, :3, 3], b_T_cam[:, :3, 3]
+    spread_a, spread_b = (float(np.linalg.norm(xyz - xyz.mean(axis=0))) for xyz in (xyz_a, xyz_b))
+    if scale is None:
+        scale = spread_a / spread_b if spread_b > 0 else 1.0
+    rotation = a_T_cam[0, :3, :3] @ b_T_cam[0, :3, :3].T
+    return Sim3(scale, rotation, xyz_a.mean(axis=0) - scale * rotation @ xyz_b.mean(axis=0))
+
+
 def fit_yaw(xyz_a: ArrayLike, xyz_b: ArrayLike, weights: ArrayLike | None = None) -> Array:
     """The a_T_b (4, 4) of a rotation about +y and a translation with the least weighted sum of squared distances.
 

@@ -16,7 +16,7 @@ from groundwalk.sfm.cameras.model_adjustment import (
     cameras_of_frames,
     save_adjusted,
 )
-from groundwalk.sfm.database import image_id, image_name, pose_of, read_keypoints
+from groundwalk.sfm.database import image_id, image_names, pose_of, read_keypoints
 from groundwalk.sfm.mapping.build import described
 from groundwalk.sfm.mapping.built import BuiltModel, write_built
 from groundwalk.sfm.mapping.held_out import VerifiedPairs, held_out_check, read_matches, write_mapping_input
@@ -47,7 +47,6 @@ def extend_models(
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
     frames = verified.frames
-    names = [image_name(i, image) for i, image in zip(frames["frame_id"], frames["image"], strict=True)]
     write_mapping_input(verified, source.database, source.seed)
     matches, keypoints = read_matches(source.database), read_keypoints(verified.features, len(frames))
     built, taken, registered = [], set[int](), 0
@@ -58,7 +57,7 @@ def extend_models(
         report(registered)
 
     for number, one in enumerate(finished[1]):
-        model = renumbered(finished[0] / one.folder, names)
+        model = renumbered(finished[0] / one.folder, image_names(frames))
         held = Held(frozenset(model.reg_frame_ids()), frozenset(model.points3D))
         # Without a pair there is nothing to add.
         mapped = continued(source, model, work / f"continued_{number}", found, held=True) if len(verified.pairs) else []

@@ -20,7 +20,7 @@ from groundwalk.geometry.lens import undistort
 from groundwalk.geometry.poses import Array, relative
 from groundwalk.geometry.shutter import readout_fraction, rows_in_camera
 from groundwalk.sfm.cameras.adjustment import Cameras
-from groundwalk.sfm.database import Ints, create_database, image_id, image_name, read_keypoints
+from groundwalk.sfm.database import Ints, create_database, image_id, image_names, read_keypoints
 from groundwalk.sfm.pairs.candidates import Pairs
 
 # Of the tracks: enough for a median in each model, few enough that poses don't miss them.
@@ -53,7 +53,6 @@ def write_mapping_input(verified: VerifiedPairs, target: Path, seed: int) -> Non
     """Write the database `target` of verified matches without a fraction of the tracks, and beside it what
     `read_matches` reads."""
     frames, pairs = verified.frames, verified.pairs
-    names = [image_name(i, image) for i, image in zip(frames["frame_id"], frames["image"], strict=True)]
     target.unlink(missing_ok=True)
     with pycolmap.Database.open(verified.matched) as opened:
         keypoints = [opened.read_keypoints(image_id(row)) for row in range(len(frames))]
@@ -66,7 +65,7 @@ def write_mapping_input(verified: VerifiedPairs, target: Path, seed: int) -> Non
 
     partial = target.with_name(target.name + ".partial")
     partial.unlink(missing_ok=True)
-    create_database(partial, frames, names)
+    create_database(partial, frames, image_names(frames))
     bounds = np.concatenate([[0], np.cumsum([len(m) for m in each])])
     with pycolmap.Database.open(partial) as database, pycolmap.DatabaseTransaction(database):
         for row, of_frame in enumerate(keypoints):

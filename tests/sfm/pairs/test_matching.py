@@ -12,7 +12,7 @@ import pycolmap
 
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import skew
-from groundwalk.sfm.database import create_database, has_results, image_id, image_name, read_pair_results
+from groundwalk.sfm.database import create_database, has_results, image_id, image_names, read_pair_results
 from groundwalk.sfm.messages import report_excluded_pairs
 from groundwalk.sfm.pairs.features import extract_features
 from groundwalk.sfm.pairs.matched import MIN_INLIERS, are_verified, are_weak, checkpoint, matched_pairs, status_of
@@ -31,7 +31,7 @@ def quiet(done: int, note: str = "") -> None: ...
 def with_features(room: Room, database: Path) -> list[str]:
     """A database with the features of all frames; the names of its images."""
     images = database.parent / "images"
-    names = [image_name(i, image) for i, image in zip(room.frames["frame_id"], room.frames["image"], strict=True)]
+    names = image_names(room.frames)
     for name, image in zip(names, room.frames["image"], strict=True):
         link = images / name
         link.parent.mkdir(parents=True, exist_ok=True)
