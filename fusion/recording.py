@@ -16,9 +16,7 @@ from groundwalk.fusion.walk import known
 from groundwalk.geometry.poses import Array, quaternion_from_matrix
 from groundwalk.store import colours
 from groundwalk.store.colours import localiser_colours
-from groundwalk.store.recording import TIMELINE, UP_AXIS, log_images, log_path
-
-FRAME_TIMELINE = "frame"  # sessions one after the other, however far apart their clocks
+from groundwalk.store.recording import FRAME_TIMELINE, TIMELINE, UP_AXIS, log_images, log_path
 
 STATUS_COLOURS = {
     Status.RELIABLE: colours.APR,

@@ -19,11 +19,10 @@ from groundwalk.store import StageRun
 from groundwalk.store.choices import PairStatus
 from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED
 from groundwalk.store.parallel import in_parallel
-from groundwalk.store.recording import UP_AXIS, log_camera, log_path
+from groundwalk.store.recording import FRAME_TIMELINE, TIMELINE, UP_AXIS, log_camera, log_path
 from groundwalk.store.tables import camera_of, poses_of
 from groundwalk.store.undistortion import undistorted_image
 
-_TIMELINE = "frame"
 _MAX_FRUSTA, _MAX_IMAGES = 200, 250
 _IMAGE_SIDE = 480
 _FRUSTUM = 0.5  # in median steps
@@ -50,7 +49,13 @@ def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model
         lines = rr.LineStrips3D(list(centres[pairs]), colors=NEUTRAL, radii=rr.Radius.ui_points(0.5))
         stream.log("sfm/pairs", lines, static=True)
 
-        times = [rr.TimeColumn(_TIMELINE, sequence=registered)]
+        since_start = (frames["t_ns"] - frames.groupby("session_id")["t_ns"].transform("min")).to_numpy(
+            "timedelta64[ns]"
+        )
+        times = [
+            rr.TimeColumn(FRAME_TIMELINE, sequence=registered),
+            rr.TimeColumn(TIMELINE, duration=since_start[registered]),
+        ]
         for name, values in model.of_frames()[["observations", "reprojection_px"]].items():
             stream.log(f"quality/{name}", rr.SeriesLines(colors=GROUND_TRUTH), static=True)
             scalars = rr.Scalars.columns(scalars=values.to_numpy(float)[registered])
@@ -61,7 +66,8 @@ def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model
         paths = [r.image_path(image) for image in frames["image"].iloc[rows]]
         images = in_parallel(lambda item: _undistorted(*item), zip(paths, cameras, strict=True))
         for row, camera, image in zip(rows.tolist(), cameras, images, strict=True):
-            stream.set_time(_TIMELINE, sequence=row)
+            stream.set_time(FRAME_TIMELINE, sequence=row)
+            stream.set_time(TIMELINE, duration=since_start[row])
             _log_view(stream, image, camera, model, row)
 
 
@@ -77,7 +83,7 @@ def _blueprint() -> rrb.Blueprint:
             ),
             column_shares=[2, 1],
         ),
-        rrb.TimePanel(timeline=_TIMELINE, state="collapsed"),
+        rrb.TimePanel(timeline=FRAME_TIMELINE, state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
 

@@ -22,6 +22,8 @@ from groundwalk.store.parallel import in_parallel
 UP_AXIS = rr.ViewCoordinates.RIGHT_HAND_Y_UP
 TIMELINE = "time"
 """The clock of every recording: since the first frame of the walk."""
+FRAME_TIMELINE = "frame"
+"""Beside it, of recordings in which walks follow one another, however far apart their clocks are."""
 
 _CHUNK = 1 << 20
 _MAX_IMAGES, _IMAGE_PX = 500, 320  # of a walk: some 7 MB
