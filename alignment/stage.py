@@ -109,7 +109,9 @@ def _read(r: StageRun[AlignSettings]) -> AlignInputs:
         jumps=r.read("import", "jumps"),
         recordings=dict(zip(sessions["session_id"], sessions["recording"], strict=True)),
         reference=Reference.of(frames, r.read("import", "reference"), sessions),
-        gravity_tested=frozenset(sessions.loc[sessions["up_source"] == UpSource.LINES, "recording"]),
+        gravity_tested=frozenset(
+            sessions.loc[sessions["up_source"].isin([UpSource.ACCELEROMETER, UpSource.LINES]), "recording"]
+        ),
     )
 
 

@@ -128,6 +128,15 @@ class Reject:
 
 
 @dataclass(frozen=True)
+class Accelerations:
+    """What a phone's accelerometer logged: times (M,) on the clock of the poses, and the force that it felt, (M, 3),
+    along the camera's OpenCV axes in any unit. At rest it points up."""
+
+    t_ns: NDArray[np.int64]
+    force_cam: Array
+
+
+@dataclass(frozen=True)
 class Recording:
     """One recording, in the order of its log.
 
@@ -155,6 +164,7 @@ class Recording:
     first_row: ImageSide | None = None
     readout_s: float | None = None
     has_intrinsics: bool = True
+    accelerations: Accelerations | None = None
     notes: Sequence[str] = field(default_factory=tuple)
     recording_id: str = ""
     format: str = ""

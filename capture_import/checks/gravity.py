@@ -1,7 +1,8 @@
 """Is a recording's +y up, as its format has it? Poses may be relative to the first camera instead, or to another one.
 
-Two things tell. A phone never starts with its camera's axes exactly along its world's, unless the world is its first
-camera's. And most edges of rooms and houses run along three directions at right angles, one of them vertical.
+Three things tell. What an accelerometer feels points up on average over a walk. A phone never starts with its camera's
+axes exactly along its world's, unless the world is its first camera's. And most edges of rooms and houses run along
+three directions at right angles, one of them vertical.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,6 +28,9 @@ _MIN_LINES = 100
 # A hand holds no phone so exactly along the axes of its world: within this by chance once in some million starts, as
 # two angles must be so small at once (the heading may be zero by definition). Logs round to less.
 _EXACT = 1e-4
+# A walk's own accelerations average out within seconds, and odometry and accelerometer agree on the vertical within a
+# degree or two. Forces that share no direction are of other axes, or without gravity.
+_MIN_FORCES, _MIN_SHARED, _MAX_TILT_DEG = 100, 0.8, 5.0
 
 
 STATE_GRAVITY = (
@@ -50,21 +54,21 @@ class GravityCheck:
 
 
 def check_gravity(sessions: Sequence[Session], images: ImageReader) -> GravityCheck:
-    """Test the gravity of one recording's poses, by its sessions. What lines in the images say goes before what its
-    start pose says, and what the capture itself states before both; a reference isn't tested."""
+    """Test the gravity of one recording's poses, by its sessions. Its accelerometer goes before lines in the images,
+    these before its start pose, and what the capture itself states before all; a reference isn't tested."""
     recording = sessions[0].recording
     stated = GravityCheck(recording.is_gravity_aligned, recording.up_source)
     if recording.pose_source != PoseSource.VIO:
         return stated
     if not stated.is_aligned:
         return replace(stated, text="the capture says that its +y isn't up")
-    by_lines = _by_lines(max(sessions, key=lambda session: len(session.images)), images)
+    by_data = _by_accelerometer(sessions) or _by_lines(max(sessions, key=lambda s: len(s.images)), images)
     if stated.source == UpSource.STATED:
-        if by_lines is not None and not by_lines.is_aligned:
-            return replace(stated, text=f"by what the capture states, but {by_lines.text}")
+        if by_data is not None and not by_data.is_aligned:
+            return replace(stated, text=f"by what the capture states, but {by_data.text}")
         return stated
-    if by_lines is not None:
-        return by_lines
+    if by_data is not None:
+        return by_data
     if starts_along_axes(sessions):
         text = "the first pose lies exactly along the world's axes: poses relative to the first camera"
         return GravityCheck(False, UpSource.START_POSE, text)
@@ -86,6 +90,23 @@ def starts_along_axes(sessions: Sequence[Session]) -> bool:
     rotations = (session.poses[:, :3, :3] for session in sessions if len(session.frames))
     moving = next((r for r in rotations if np.abs(r - r[0]).max() > _EXACT), None)
     return moving is not None and bool(np.abs(moving[0] - moving[0].round()).max() < _EXACT)
+
+
+def _by_accelerometer(sessions: Sequence[Session]) -> GravityCheck | None:
+    """What the recording's accelerometer says; None where it logged none, or too little."""
+    log, poses = sessions[0].recording.accelerations, np.concatenate([session.poses for session in sessions])
+    if log is None:
+        return None
+    t_ns = np.concatenate([session.t_ns for session in sessions])
+    during = (log.t_ns >= t_ns[0]) & (log.t_ns <= t_ns[-1])
+    nearest = np.searchsorted((t_ns[1:] + t_ns[:-1]) // 2, log.t_ns[during])
+    force = np.einsum("mij,mj->mi", poses[nearest, :3, :3], log.force_cam[during])
+    mean = force.mean(axis=0) if len(force) >= _MIN_FORCES else np.zeros(3)
+    if not np.linalg.norm(mean) > _MIN_SHARED * np.median(np.linalg.norm(force, axis=1)):
+        return None
+    tilt_deg = float(np.degrees(np.arccos(mean[1] / np.linalg.norm(mean))))
+    text = f"the accelerometer's mean over {len(force)} samples is {tilt_deg:.1f}° from +y"
+    return GravityCheck(tilt_deg < _MAX_TILT_DEG, UpSource.ACCELEROMETER, text)
 
 
 def _by_lines(session: Session, reader: ImageReader) -> GravityCheck | None:

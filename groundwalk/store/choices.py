@@ -227,6 +227,7 @@ class UpSource(StrEnum):
     FORMAT = "format"
     STATED = "stated"
     START_POSE = "start pose"
+    ACCELEROMETER = "accelerometer"
     LINES = "lines in the images"
 
 

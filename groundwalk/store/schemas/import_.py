@@ -152,8 +152,8 @@ TABLES = [
             Column(
                 "up_source",
                 "string",
-                "what says whether +y is up: the format, untested; the capture itself; or import's test, by the start "
-                "pose or by lines in the images",
+                "what says whether +y is up: the format, untested; the capture itself; or import's test, by the "
+                "accelerometer, lines in the images or the start pose",
                 nullable=True,
                 choices=UpSource,
             ),
