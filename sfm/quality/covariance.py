@@ -35,6 +35,9 @@ from groundwalk.sfm.cameras.normal_equations import block_rows, inverse_of, simi
 _SAME_PLACE_PX = 0.01
 # The scatter of keypoints tells that of the poses where there are some more of them than unknowns.
 _KEYPOINTS_PER_UNKNOWN = 2
+# By how much variances of poses and motions grow, as neighbouring features share errors: without it the normalised
+# squared error is 1.2 by charuco's board and 1.2 to 2.1 in simulated captures (docs/explanation/decisions.md).
+SHARED_ERRORS = 1.7
 # Parts of the image in which errors of the cameras' model are alike.
 _BANDS, _COLUMNS = 6, 8
 _CHUNK = 64  # frames at once, for memory
@@ -66,7 +69,8 @@ def covariances(adjusted: Adjusted, motion_S2: Ints) -> Covariances | None:
     positions by an S-transformation (Baarda 1973).
 
     What the cameras' model leaves out is alike in the rows of a frame that are read out together, or in a region of the
-    image. Where residuals are correlated more than independent ones would be (`coherence`), covariances grow by it.
+    image. Where residuals are correlated more than independent ones would be (`coherence`), covariances grow by it, and
+    those of poses and motions by what even a right model leaves (`SHARED_ERRORS`).
     What the frames share is also as uncertain as principal points make it (`_of_centres`).
 
     Where frames and points are held, what comes out is how certain the others are if these are right.
@@ -102,7 +106,7 @@ def covariances(adjusted: Adjusted, motion_S2: Ints) -> Covariances | None:
     shared_by_keypoints = by_keypoint.T @ of_shared.T
     shared = of_shared @ middle @ of_shared.T
     shared += (max(by_rows, by_region) - 1) * shared_by_keypoints.T @ shared_by_keypoints
-    middle *= by_rows
+    middle *= SHARED_ERRORS * by_rows
     position = bundle.sfm_T_cam[:, :3, 3]
     gauge, h = _gauge_of(position)
     if len(bundle.held_points):
