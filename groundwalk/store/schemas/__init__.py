@@ -1,16 +1,20 @@
 """What each table holds: columns with type, unit, frame and meaning, and a version a table.
 
-One module a stage; each has ``TABLES``, a list of `TableSchema`. `schema(stage, table)` finds one.
+One module a stage; each has ``TABLES``, a list of `TableSchema`, declared as text (`tables`). `schema(stage, table)`
+finds one.
 """
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib import import_module
-from typing import Literal
+from typing import Literal, cast
 
 import pyarrow as pa
 
+from groundwalk.consistency.decisions import Status
+from groundwalk.store import choices
 from groundwalk.store.errors import UserError
 
 DType = Literal["float64", "int64", "bool", "string", "list<float64>", "list<string>"]
@@ -23,19 +27,7 @@ _ARROW = {
     "list<float64>": pa.list_(pa.float64()),
     "list<string>": pa.list_(pa.string()),
 }
-
-# Stage name -> schema module; `import` is a Python keyword, hence the underscore.
-_MODULES = {
-    "simulate": "simulate",
-    "import": "import_",
-    "sfm": "sfm",
-    "align": "align",
-    "localise": "localise",
-    "train": "train",
-    "fuse": "fuse",
-    "report": "report",
-}
-
+_STAGES = ("simulate", "import", "sfm", "align", "localise", "train", "fuse", "report")
 _PATHS = {"image", "depth", "depth_confidence", "folder", "file", "model", "scene"}
 
 
@@ -62,15 +54,6 @@ class Column:
         return pa.field(self.name, _ARROW[self.dtype], self.nullable, {k: v for k, v in metadata.items() if v})
 
 
-def pose_columns(prefix: str, meaning: str, nullable: bool = False) -> list[Column]:
-    """The seven columns of a pose group, e.g. prefix ``map_cam`` for map_T_cam: tx ty tz (m), qx qy qz qw (unit)."""
-    frame = prefix.split("_")[0]
-    axes = [Column(f"{prefix}_t{a}", "float64", f"{meaning}: position, {a}", "m", frame, nullable) for a in "xyz"]
-    return axes + [
-        Column(f"{prefix}_q{a}", "float64", f"{meaning}: unit quaternion, {a}", "", frame, nullable) for a in "xyzw"
-    ]
-
-
 @dataclass(frozen=True)
 class TableSchema:
     """A table: its stage, name, version ("major.minor"; a reader refuses another major), meaning and columns."""
@@ -94,15 +77,56 @@ class TableSchema:
         return pa.schema([column.arrow() for column in self.columns], metadata)
 
 
+def tables(stage: str, text: str) -> list[TableSchema]:
+    """The tables that a text declares. A table begins with `<name> <version>: <meaning>`; its columns are indented by
+    four, lines that go on by more:
+
+        position_sd_m (float64?, m in map): type, ? where it may be null, unit and frame, either left out; meaning
+        quality (QualityClass): text that is one of these choices
+        gravity_{xyz} (float64): three columns; {} in the meaning stands for the letter
+        map_cam (pose?): the seven columns of the pose group map_cam, of map_T_cam: tx ty tz (m), qx qy qz qw (unit)
+    """
+    found: list[TableSchema] = []
+    for entry in re.split(r"\n(?= {0,4}\S)", text.strip("\n")):
+        head, _, meaning = " ".join(entry.split()).partition(": ")
+        name, _, more = head.partition(" ")
+        if not entry.startswith(" "):
+            found.append(TableSchema(stage, name, meaning, [], more))
+        else:
+            found[-1].columns.extend(_columns(name, more.strip("()"), meaning))
+    return found
+
+
+def _columns(name: str, kind: str, meaning: str) -> Iterator[Column]:
+    """The columns of one entry; `kind` is what stands in its parentheses."""
+    dtype, _, where = kind.partition(", ")
+    nullable, dtype = dtype.endswith("?"), dtype.removesuffix("?")
+    if dtype == "pose":
+        frame = name.split("_")[0]
+        for axis in "xyz":
+            yield Column(f"{name}_t{axis}", "float64", f"{meaning}: position, {axis}", "m", frame, nullable)
+        for axis in "xyzw":
+            yield Column(f"{name}_q{axis}", "float64", f"{meaning}: unit quaternion, {axis}", "", frame, nullable)
+        return
+    unit, _, frame = f" {where}".partition(" in ")
+    of_text = None if dtype in _ARROW else Status if dtype == "Status" else getattr(choices, dtype)
+    before, letters, after = re.fullmatch(r"(\w*)(?:\{(\w+)\})?(\w*)", name).groups()  # type: ignore[union-attr]
+    for letter in letters or [""]:
+        text = meaning.replace("{}", letter)
+        as_stored = "string" if of_text else cast(DType, dtype)
+        yield Column(f"{before}{letter}{after}", as_stored, text, unit.strip(), frame, nullable, of_text)
+
+
 def stage_tables(stage: str) -> list[TableSchema]:
     """The schemas of one stage's tables."""
-    tables: list[TableSchema] = import_module(f"groundwalk.store.schemas.{_MODULES[stage]}").TABLES
-    return tables
+    module = "import_" if stage == "import" else stage  # a Python keyword
+    found: list[TableSchema] = import_module(f"groundwalk.store.schemas.{module}").TABLES
+    return found
 
 
 def all_tables() -> Iterable[TableSchema]:
     """Every schema, in the order of the pipeline."""
-    for stage in _MODULES:
+    for stage in _STAGES:
         yield from stage_tables(stage)
 
 
