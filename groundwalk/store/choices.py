@@ -1,49 +1,22 @@
-"""What text columns of tables can hold, one enumeration each; writing a table checks them."""
+"""What text columns of tables can hold, one enumeration each; writing a table checks them. Where names are all that one
+is made of, their lower case is the text."""
 
 from enum import StrEnum
 
+Split = StrEnum("Split", "TRAIN VAL TEST")
+"""What a frame is for. `val` is held out of the training walks, to choose the epoch."""
 
-class Split(StrEnum):
-    """What a frame is for. `val` is held out of the training walks, to choose the epoch."""
+SessionSplit = StrEnum("SessionSplit", "TRAIN TEST MIXED UNUSED")
+"""What a session is for; `mixed`: parts of it for each."""
 
-    TRAIN = "train"
-    VAL = "val"
-    TEST = "test"
+Rejected = StrEnum("Rejected", "IMAGE POSE DEPTH")
+"""What of a capture was rejected."""
 
+Tracking = StrEnum("Tracking", "NORMAL LIMITED LOST UNKNOWN")
+"""The odometry's state, as the app says."""
 
-class SessionSplit(StrEnum):
-    """What a session is for; `mixed`: parts of it for each."""
-
-    TRAIN = "train"
-    TEST = "test"
-    MIXED = "mixed"
-    UNUSED = "unused"
-
-
-class Rejected(StrEnum):
-    """What of a capture was rejected."""
-
-    IMAGE = "image"
-    POSE = "pose"
-    DEPTH = "depth"
-
-
-class Tracking(StrEnum):
-    """The odometry's state, as the app says."""
-
-    NORMAL = "normal"
-    LIMITED = "limited"
-    LOST = "lost"
-    UNKNOWN = "unknown"
-
-
-class ImageSide(StrEnum):
-    """A side of an image."""
-
-    TOP = "top"
-    RIGHT = "right"
-    BOTTOM = "bottom"
-    LEFT = "left"
+ImageSide = StrEnum("ImageSide", "TOP RIGHT BOTTOM LEFT")
+"""A side of an image."""
 
 
 class Clock(StrEnum):
@@ -63,20 +36,11 @@ class Clock(StrEnum):
         return self is not Clock.NAME_ORDER
 
 
-class PoseSource(StrEnum):
-    """Whose poses a capture has: the phone's odometry, a data set's reference, or none, as photos and videos."""
+PoseSource = StrEnum("PoseSource", "VIO REFERENCE NONE")
+"""Whose poses a capture has: the phone's odometry, a data set's reference, or none, as photos and videos."""
 
-    VIO = "vio"
-    REFERENCE = "reference"
-    NONE = "none"
-
-
-class CameraOrigin(StrEnum):
-    """Where a lens is from: what the capture states, an estimate from the images, or what phones usually have."""
-
-    STATED = "stated"
-    ESTIMATED = "estimated"
-    PRIOR = "prior"
+CameraOrigin = StrEnum("CameraOrigin", "STATED ESTIMATED PRIOR")
+"""Where a lens is from: what the capture states, an estimate from the images, or what phones usually have."""
 
 
 class QualityClass(StrEnum):
@@ -88,40 +52,17 @@ class QualityClass(StrEnum):
     NONE = "none"
 
 
-class Environment(StrEnum):
-    """Of a scene."""
+Environment = StrEnum("Environment", "OUTDOOR INDOOR UNKNOWN")
+"""Of a scene."""
 
-    OUTDOOR = "outdoor"
-    INDOOR = "indoor"
-    UNKNOWN = "unknown"
+Appearance = StrEnum("Appearance", "SAME OTHER_HOUR EVENING OTHER_MONTH")
+"""What a simulated place looks like on its test walks, beside the training walks."""
 
+PairOrigin = StrEnum("PairOrigin", "SEQUENCE VIO RETRIEVAL TRANSITIVE EXHAUSTIVE")
+"""What proposed a pair of frames."""
 
-class Appearance(StrEnum):
-    """What a simulated place looks like on its test walks, beside the training walks."""
-
-    SAME = "same"
-    OTHER_HOUR = "other_hour"
-    EVENING = "evening"
-    OTHER_MONTH = "other_month"
-
-
-class PairOrigin(StrEnum):
-    """What proposed a pair of frames."""
-
-    SEQUENCE = "sequence"
-    VIO = "vio"
-    RETRIEVAL = "retrieval"
-    TRANSITIVE = "transitive"
-    EXHAUSTIVE = "exhaustive"
-
-
-class PairStatus(StrEnum):
-    """Of a matched pair of frames; only verified ones go into mapping."""
-
-    VERIFIED = "verified"
-    TOO_FEW_INLIERS = "too_few_inliers"
-    INCONSISTENT_WITH_VIO = "inconsistent_with_vio"
-    INCONSISTENT_WITH_NEIGHBOURS = "inconsistent_with_neighbours"
+PairStatus = StrEnum("PairStatus", "VERIFIED TOO_FEW_INLIERS INCONSISTENT_WITH_VIO INCONSISTENT_WITH_NEIGHBOURS")
+"""Of a matched pair of frames; only verified ones go into mapping."""
 
 
 class PairInconsistency(StrEnum):
@@ -134,24 +75,11 @@ class PairInconsistency(StrEnum):
     NEIGHBOURS = "points in the map of neighbours"
 
 
-class AttemptName(StrEnum):
-    """What an attempt at SfM models changes."""
+AttemptName = StrEnum("AttemptName", "DEFAULT MORE_PAIRS STRICTER_PAIRS MORE_FEATURES ADDED")
+"""What an attempt at SfM models changes."""
 
-    DEFAULT = "default"
-    MORE_PAIRS = "more_pairs"
-    STRICTER_PAIRS = "stricter_pairs"
-    MORE_FEATURES = "more_features"
-    ADDED = "added"
-
-
-class AttemptOutcome(StrEnum):
-    """Of an attempt at SfM models."""
-
-    ACCEPTED = "accepted"
-    NO_MODEL = "no_model"
-    TOO_FEW_REGISTERED = "too_few_registered"
-    FRAMES_MISSING = "frames_missing"
-    INCONSISTENT_WITH_VIO = "inconsistent_with_vio"
+AttemptOutcome = StrEnum("AttemptOutcome", "ACCEPTED NO_MODEL TOO_FEW_REGISTERED FRAMES_MISSING INCONSISTENT_WITH_VIO")
+"""Of an attempt at SfM models."""
 
 
 class NotRegistered(StrEnum):
@@ -172,12 +100,8 @@ class ScaleSource(StrEnum):
     NONE = "none"
 
 
-class GroundTruthChange(StrEnum):
-    """What made a version of a ground truth."""
-
-    BUILT = "built"
-    ADDED = "added"
-    REMOVED = "removed"
+GroundTruthChange = StrEnum("GroundTruthChange", "BUILT ADDED REMOVED")
+"""What made a version of a ground truth."""
 
 
 class MapUnit(StrEnum):
@@ -231,31 +155,14 @@ class UpSource(StrEnum):
     LINES = "lines in the images"
 
 
-class CheckName(StrEnum):
-    """A consistency check of align."""
-
-    REGISTERED = "registered"
-    SESSION_REGISTERED = "session_registered"
-    COMPONENT_SCALE = "component_scale"
-    COMPONENT_LINK = "component_link"
-    MAP_SCALE = "map_scale"
-    MAP_VERTICAL = "map_vertical"
-    REFERENCE_SCALE = "reference_scale"
-    REFERENCE_VERTICAL = "reference_vertical"
-    RULER_SCALE = "ruler_scale"
-    CONTROL_POINTS = "control_points"
-    SESSION_FOCAL_LENGTH = "session_focal_length"
-    SESSION_MOTION = "session_motion"
-    SESSION_TURNS = "session_turns"
-    SESSION_ALIASING = "session_aliasing"
-    SESSION_SCALE = "session_scale"
-    SESSION_VERTICAL = "session_vertical"
-    SESSION_UNCERTAIN = "session_uncertain"
-    SESSION_REFERENCE = "session_reference"
-    SESSION_DEPTH_SCALE = "session_depth_scale"
-    SESSION_DEPTH_BY_DISTANCE = "session_depth_by_distance"
-    WINDOW_POSITION = "window_position"
-    WINDOW_ROTATION = "window_rotation"
+CheckName = StrEnum(
+    "CheckName",
+    "REGISTERED SESSION_REGISTERED COMPONENT_SCALE COMPONENT_LINK MAP_SCALE MAP_VERTICAL REFERENCE_SCALE "
+    "REFERENCE_VERTICAL RULER_SCALE CONTROL_POINTS SESSION_FOCAL_LENGTH SESSION_MOTION SESSION_TURNS "
+    "SESSION_ALIASING SESSION_SCALE SESSION_VERTICAL SESSION_UNCERTAIN SESSION_REFERENCE SESSION_DEPTH_SCALE "
+    "SESSION_DEPTH_BY_DISTANCE WINDOW_POSITION WINDOW_ROTATION",
+)
+"""A consistency check of align."""
 
 
 class FailureCause(StrEnum):
@@ -287,44 +194,21 @@ class CheckUnit(StrEnum):
     FRAMES = "frames"
 
 
-class RulerKind(StrEnum):
-    """A printed board, printed tags, or two points a known distance apart."""
+RulerKind = StrEnum("RulerKind", "CHARUCO APRILTAG DISTANCE")
+"""A printed board, printed tags, or two points a known distance apart."""
 
-    CHARUCO = "charuco"
-    APRILTAG = "apriltag"
-    DISTANCE = "distance"
+RulerPart = StrEnum("RulerPart", "ALL FOR_SCALE HELD_OUT")
+"""Corners of a ruler: all; of one that sets the scale those that may, and those that judge it."""
 
+ReferenceAlignment = StrEnum("ReferenceAlignment", "MODEL_SIM3 SE3 SIM3 NONE")
+"""The transform between a map and reference poses before they are compared."""
 
-class RulerPart(StrEnum):
-    """Corners of a ruler: all; of one that sets the scale those that may, and those that judge it."""
-
-    ALL = "all"
-    FOR_SCALE = "for_scale"
-    HELD_OUT = "held_out"
-
-
-class ReferenceAlignment(StrEnum):
-    """The transform between a map and reference poses before they are compared."""
-
-    MODEL_SIM3 = "model_sim3"
-    SE3 = "se3"
-    SIM3 = "sim3"
-    NONE = "none"
-
-
-class DriftDefinition(StrEnum):
-    """A measure of VIO drift (docs/explanation/ground-truth.md)."""
-
-    PAPER_RPE = "paper_rpe"
-    PAPER_ROE = "paper_roe"
-    RELATIVE_POSITION = "relative_position"
-    RELATIVE_ROTATION = "relative_rotation"
-    DISTANCE_POSITION = "distance_position"
-    DISTANCE_ROTATION = "distance_rotation"
-    YAW_RATE = "yaw_rate"
-    ATE_SE3 = "ate_se3"
-    ATE_YAW = "ate_yaw"
-    ATE_SIM3 = "ate_sim3"
+DriftDefinition = StrEnum(
+    "DriftDefinition",
+    "PAPER_RPE PAPER_ROE RELATIVE_POSITION RELATIVE_ROTATION DISTANCE_POSITION DISTANCE_ROTATION YAW_RATE ATE_SE3 "
+    "ATE_YAW ATE_SIM3",
+)
+"""A measure of VIO drift (docs/explanation/ground-truth.md)."""
 
 
 class DriftInterval(StrEnum):
@@ -336,12 +220,5 @@ class DriftInterval(StrEnum):
     PATH = "path"
 
 
-class Refusal(StrEnum):
-    """Why a structure localiser gives no pose."""
-
-    BAD_INPUT = "bad_input"
-    IMAGE_SIZE = "image_size"
-    FEW_FEATURES = "few_features"
-    FEW_MATCHES = "few_matches"
-    NO_POSE = "no_pose"
-    THIN_EVIDENCE = "thin_evidence"
+Refusal = StrEnum("Refusal", "BAD_INPUT IMAGE_SIZE FEW_FEATURES FEW_MATCHES NO_POSE THIN_EVIDENCE")
+"""Why a structure localiser gives no pose."""
