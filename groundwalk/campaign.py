@@ -134,24 +134,19 @@ def _rows(table: Path) -> Iterator[dict[str, str]]:
         yield {str(name): value.strip() for name, value in row.items() if value.strip() or name == "scene"}
 
 
-def _jobs_of(data: DataRoot, profile: str, scene: str, until: str | None) -> list[Job]:
+def _jobs_of(data: DataRoot, profile: str, scene: str, until: str | None) -> Iterator[Job]:
+    """The jobs of a scene, each with those whose results it reads: of its scene and, in a group, of the group's."""
     made = steps(data, profile, scene, until or STAGES[-1])
     for step in made:
         check(step, Step("simulate", step.scene) in made, profile, data)
-    jobs = {step: Job(step.scene, profile, step.command) for step in made}
-    for step, job in jobs.items():
-        job.needs.extend(jobs[other].id for other in _before(step, made, data))
-    return list(jobs.values())
-
-
-def _before(step: Step, made: list[Step], data: DataRoot) -> list[Step]:
-    """The steps whose results a step reads: of its scene and, in a group, of the group's scenes."""
-    if step.command == "simulate":
-        return []
-    stage = stage_of(step.command)
-    read = {*stage.needs, *stage.wants, *(["simulate"] if stage.reads_captures else [])}
-    scenes = {step.scene, *data.leaves(data.scene(step.scene)[0])}
-    return [other for other in made if other.command in read and other.scene in scenes]
+    for step in made:
+        job = Job(step.scene, profile, step.command)
+        if step.command != "simulate":
+            stage, scenes = stage_of(step.command), {step.scene, *data.leaves(data.scene(step.scene)[0])}
+            read = {*stage.needs, *stage.wants, *(["simulate"] if stage.reads_captures else [])}
+            before = (other for other in made if other.command in read and other.scene in scenes)
+            job.needs.extend(Job(other.scene, profile, other.command).id for other in before)
+        yield job
 
 
 def write_workflow(folder: Path, jobs: list[Job], problems: dict[str, str], data: DataRoot) -> None:
@@ -249,26 +244,22 @@ def write_report(folder: Path, data: DataRoot) -> pd.DataFrame:
     if not (folder / PLAN).is_file():
         raise UserError("there is no such campaign yet", where=folder, do="run it without --status")
     planned = read_json(folder / PLAN)
-    rows = [_row(folder, Job(*_scene_of(id), needs), data) for id, needs in planned["needs"].items()]
+    rows = []
+    for job_id, needs in planned["needs"].items():
+        profile, scene, command = job_id.split("/")
+        rows.append(_row(folder, Job(scene, profile, command, needs), data))
     for of_scene, message in planned["problems"].items():
         profile, _, scene = of_scene.partition("/")
         rows.append({"scene": scene, "profile": profile, "stage": "", "state": State.REFUSED, "message": message})
     columns = ["scene", "profile", "stage", "state", "seconds", "peak_memory_mib", "figures", "message"]
-    order = {state: number for number, state in enumerate(State)}
+    rows.sort(key=lambda row: [*State].index(row["state"]))
     table = pd.DataFrame(rows, columns=columns).astype({"seconds": float, "peak_memory_mib": float})
-    table = table.assign(message=table["message"].fillna("")).sort_values(
-        "state", key=lambda s: s.map(order), kind="stable"
-    )
+    table = table.assign(message=table["message"].fillna(""))
     with written_aside(folder / TABLE) as partial:
         table.assign(state=table["state"].astype(str)).to_parquet(partial, index=False)
     with written_aside(folder / PAGE) as partial:
         partial.write_text(_page(table, folder, data), encoding="utf-8")
     return table
-
-
-def _scene_of(id: str) -> tuple[str, str, str]:
-    profile, scene, command = id.split("/")
-    return scene, profile, command
 
 
 def _row(folder: Path, job: Job, data: DataRoot) -> dict[str, Any]:
@@ -277,48 +268,43 @@ def _row(folder: Path, job: Job, data: DataRoot) -> dict[str, Any]:
     text = log.read_text(encoding="utf-8", errors="replace") if log.is_file() else ""
     row: dict[str, Any] = {"scene": job.scene, "profile": job.profile, "stage": job.command}
     if (folder / "done" / job.id).exists():
-        made = read_json(final / MANIFEST) if (final / MANIFEST).is_file() else {}
+        made = read_json(final / MANIFEST)
         figures = {"seconds": made.get("total_seconds"), "peak_memory_mib": made.get("peak_memory_mib")}
         return {**row, "state": State.DONE, **figures, "figures": json.dumps(made.get("figures", {}))}
-    if _is_running(final):
-        return {**row, "state": State.RUNNING, "message": text.strip().rpartition("\n")[2]}
+    last_line = text.strip().rpartition("\n")[2]
+    try:
+        with locked(final):
+            pass
+    except UserError:
+        return {**row, "state": State.RUNNING, "message": last_line}
     if not text:
         return {**row, "state": State.WAITING}
     _, error, message = text.rpartition("error: ")
     state = State.REFUSED if _refusal(folder, job).exists() else State.FAILED
-    return {**row, "state": state, "message": message.strip() if error else text.strip().rpartition("\n")[2]}
-
-
-def _is_running(final: Path) -> bool:
-    try:
-        with locked(final):
-            return False
-    except UserError:
-        return True
+    return {**row, "state": state, "message": message.strip() if error else last_line}
 
 
 def _page(table: pd.DataFrame, folder: Path, data: DataRoot) -> str:
     # Here, as most commands need no page.
-    from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row, html_table
+    from groundwalk.reports.grids import EMPTY, html_table, plain_grid
     from groundwalk.reports.templating import plain_page
 
     counts = table["state"].value_counts()
-    names = ("scene", "profile", "stage", "state", "message", "seconds", "peak_memory_mib")
-    rows = [
-        Row(tuple(f"{v:,.0f}" if isinstance(v, float) else str(v) for v in row), OURS)
-        for row in table[[*names]].astype(object).where(table[[*names]].notna(), EMPTY).itertuples(index=False)
-    ]
+    shown = table[["scene", "profile", "stage", "state", "message", "seconds", "peak_memory_mib"]]
+    rows = (
+        [f"{v:,.0f}" if isinstance(v, float) else v for v in row]
+        for row in shown.astype(object).where(shown.notna(), EMPTY).itertuples(index=False)
+    )
     caption = f"{', '.join(f'{counts.get(state, 0)} {state}' for state in State)}; those that need attention come first"
-    columns = tuple(("", name) for name in (*names[:5], "s", "MiB"))
-    grid = Grid("stages", "Stages", f"{caption}.", columns, (Block("", tuple(rows)),), 5)
+    heads = "scene | profile | stage | state | message | s | MiB"
+    grid = plain_grid("stages", "Stages", f"{caption}.", heads, rows, 5)
     links = Markup()
-    for scene, profile in (
-        table.loc[table["stage"] != "", ["scene", "profile"]].drop_duplicates().itertuples(index=False)
-    ):
+    of_stages = table.loc[table["stage"] != "", ["scene", "profile"]].drop_duplicates()
+    for scene, profile in of_stages.itertuples(index=False):
         report = data.run(profile, scene, "report") / "page.html"
         if report.is_file():
             links += Markup('<a href="{}">{}</a> ').format(report.as_uri(), f"{scene}, {profile}")
-    return plain_page(folder.name, "campaign", [Markup(html_table(grid)), Markup("<p>Reports: {}</p>").format(links)])
+    return plain_page(folder.name, "campaign", [html_table(grid), Markup("<p>Reports: {}</p>").format(links)])
 
 
 def _show(outcome: pd.DataFrame, folder: Path) -> None:

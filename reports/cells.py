@@ -21,6 +21,8 @@ _PUBLISHED_FILES = {
     TABLE_II: "shipped/published/table2_pose_errors.csv",
     TABLE_III: "shipped/published/table3_accuracy_levels.csv",
 }
+# What a cell may be left without.
+_NO_KEYS: dict[str, object] = dict.fromkeys(("model", "method", "options", "over", "statistic", "quantity"), "")
 # What stands behind the model in a heading of the paper's tables.
 _PAPER_LABELS = {"": "", RAW_METHOD: "", PAPER_METHOD: "+VIO"}
 PUBLISHED_MODELS = {"hloc": "HLoc", "pn": "PN", "mst": "MS-T"}
@@ -53,29 +55,20 @@ def our_cells(scenes: list[SceneInputs]) -> pd.DataFrame:
 
 
 def _cell(
-    table: str,
-    scene: SceneInputs,
-    row: str,
-    column: str,
-    figure: tuple[float, int, str],
-    source: tuple[int, str],
-    **more: str,
+    scene: SceneInputs, figure: tuple[float, str, str], source: tuple[int, str], **more: str
 ) -> dict[str, object]:
-    """A row of `cells`; figure: the value, its digits and its unit; source: rows and table that it is from.
-    Metres are the map's unit, whatever that is."""
-    value, digits, unit = figure
-    unit = scene.unit.symbol if unit == "m" else unit
-    base = {"source": OURS, "table": table, "environment": scene.environment, "scene": scene.name, "row": row}
-    empty = dict.fromkeys(("model", "method", "options", "over", "statistic", "quantity"), "")
-    text = more.pop("text", number(value, digits))
-    numbers = {"value": value, "text": text, "unit": unit, "source_rows": source[0], "source_table": source[1]}
-    return {**base, "column": column, **empty, **more, **numbers}
+    """A row of `cells`; figure: the value, its text and its unit; source: rows and table that it is from; more: its
+    other columns. Metres are the map's unit, whatever that is."""
+    value, text, unit = figure
+    numbers = {"value": value, "text": text, "unit": scene.unit.symbol if unit == "m" else unit}
+    place = {"source": OURS, "environment": scene.environment, "scene": scene.name}
+    return _NO_KEYS | place | numbers | more | {"source_rows": source[0], "source_table": source[1]}
 
 
 def _dataset(scene: SceneInputs) -> Iterator[dict[str, object]]:
     def cell(column: str, value: float, unit: str, source: tuple[int, str], **more: str) -> dict[str, object]:
-        keys = {"statistic": "value", "quantity": column}
-        return _cell(TABLE_I, scene, "scene", column, (value, 0, unit), source, **(keys | more))
+        keys = {"table": TABLE_I, "row": "scene", "column": column, "statistic": "value", "quantity": column}
+        return _cell(scene, (value, more.pop("text", number(value, 0)), unit), source, **(keys | more))
 
     yield cell("train images", scene.training_frames, "", (len(scene.frames), "import.frames"))
     yield cell("test images", scene.test_frames, "", (len(scene.frames), "import.frames"))
@@ -97,22 +90,18 @@ def _dataset(scene: SceneInputs) -> Iterator[dict[str, object]]:
 def _scores(scene: SceneInputs) -> Iterator[dict[str, object]]:
     for _, s in scene_scores(scene.errors, scene.name, scene.offline).iterrows():
         paper = s["subset"] in SUBSETS
-        numbers = [
-            (statistic, q, s[f"{statistic}_{u}"], u, digits_of(s[f"{statistic}_{u}"]))
-            for statistic in ("mean", "median")
-            for q, u in ERRORS.items()
-        ]
-        numbers += [("level", level, s[level], "%", 1) for level in LEVELS]
+        numbers = [(m, q, s[f"{m}_{unit}"], unit) for m in ("mean", "median") for q, unit in ERRORS.items()]
+        numbers += [("level", level, s[level], "%") for level in LEVELS]
         if not paper or s["over"] == "subset":
-            numbers += [(name, "frames", s[name], "%", 1) for name in ("share", "coverage")]
-        keys = {k: str(s[k]) for k in ("model", "method", "options", "over")}
-        for statistic, quantity, value, unit, digits in numbers:
-            table = TABLE_IV if not paper else TABLE_II if statistic in ("mean", "median") else TABLE_III
+            numbers += [(name, "frames", s[name], "%") for name in ("share", "coverage")]
+        keys = {k: str(s[k]) for k in ("model", "method", "options", "over")} | {"row": s["subset"]}
+        for statistic, quantity, value, unit in numbers:
+            keys["table"] = TABLE_IV if not paper else TABLE_II if statistic in ("mean", "median") else TABLE_III
             labels = _PAPER_LABELS if paper else scene.method_labels
-            column = column_name(s["model"], s["method"], s["over"], statistic, quantity, labels=labels)
-            more = keys | {"statistic": statistic, "quantity": quantity}
+            keys["column"] = column_name(s["model"], s["method"], s["over"], statistic, quantity, labels=labels)
             source = (int(s["certain" if statistic == "level" else "frames"]), "fuse.errors")
-            yield _cell(table, scene, s["subset"], column, (float(value), digits, unit), source, **more)
+            figure = (float(value), number(value, 1 if unit == "%" else digits_of(value)), unit)
+            yield _cell(scene, figure, source, **keys, statistic=statistic, quantity=quantity)
 
 
 def _averages(rows: list[dict[str, object]]) -> list[dict[str, object]]:
@@ -139,45 +128,40 @@ def published_cells(tables: PrintedTables, scenes: list[SceneInputs]) -> pd.Data
     names = {scene.name for scene in scenes} & set(tables.dataset["scene"])
     rows: list[dict[str, object]] = []
 
-    def add(table: str, s: pd.Series, row: str, column: str, value: float, text: str, unit: str, **more: str) -> None:
-        if s["scene"] not in names and not (s["scene"] == AVERAGE and s["environment"] in complete):
-            return
-        base = {"source": PUBLISHED, "table": table, "environment": s["environment"], "scene": s["scene"], "row": row}
-        empty = dict.fromkeys(("model", "method", "options", "over", "statistic", "quantity"), "")
-        figure = {"value": value, "text": text, "unit": unit, "source_rows": 1, "source_table": _PUBLISHED_FILES[table]}
-        rows.append({**base, "column": column, **empty, **more, **figure})
+    def add(s: pd.Series, value: float, text: str, unit: str, **more: str) -> None:
+        if s["scene"] in names or (s["scene"] == AVERAGE and s["environment"] in complete):
+            place = {"source": PUBLISHED, "environment": s["environment"], "scene": s["scene"]}
+            figure = {"value": value, "text": text, "unit": unit, "source_rows": 1}
+            rows.append(_NO_KEYS | place | figure | more | {"source_table": _PUBLISHED_FILES[more["table"]]})
 
+    of_table = {"table": TABLE_I, "row": "scene", "statistic": "value"}
     of_environment = tables.dataset.groupby("environment")["scene"].agg(set)
     complete = {str(environment) for environment, members in of_environment.items() if members <= names}
     for _, s in tables.dataset.iterrows():
         for column in ("train images", "test images"):
             value = float(s[column.replace(" ", "_")])
-            add(TABLE_I, s, "scene", column, value, f"{value:.0f}", "", statistic="value", quantity=column)
+            add(s, value, f"{value:.0f}", "", column=column, quantity=column, **of_table)
         extent = str(s["extent_m"])
         length = float(extent.split("x")[0])
-        text = extent.replace("x", "×")
-        add(TABLE_I, s, "scene", "extent", length, text, "m", statistic="value", quantity="extent")
+        add(s, length, extent.replace("x", "×"), "m", column="extent", quantity="extent", **of_table)
         for key, model in PUBLISHED_MODELS.items():
             for what, unit in (("storage", "MB"), ("runtime", "ms")):
-                value = float(s[f"{key}_{what}_{unit.lower()}"])
-                keys = {"model": model, "statistic": "value", "quantity": f"{model} {what}"}
-                add(TABLE_I, s, "scene", f"{model} {what}", value, f"{value:g}", unit, **keys)
+                value, name = float(s[f"{key}_{what}_{unit.lower()}"]), f"{model} {what}"
+                add(s, value, f"{value:g}", unit, model=model, column=name, quantity=name, **of_table)
     for _, s in tables.errors.iterrows():
         for quantity, unit in ERRORS.items():
-            value = float(s[f"{quantity}_{unit}"])
             keys = {k: str(s[k]) for k in ("model", "method", "over", "statistic")} | {"quantity": quantity}
-            column = column_name(s["model"], s["method"], s["over"], s["statistic"], quantity)
-            add(TABLE_II, s, s["subset"], column, value, str(s[f"{quantity}_{unit}_text"]), unit, **keys)
+            keys["column"] = column_name(s["model"], s["method"], s["over"], s["statistic"], quantity)
+            text = str(s[f"{quantity}_{unit}_text"])
+            add(s, float(s[f"{quantity}_{unit}"]), text, unit, table=TABLE_II, row=s["subset"], **keys)
     for _, s in tables.levels.iterrows():
         keys = {k: str(s[k]) for k in ("model", "method", "over")}
         for quantity, statistic in [*((level, "level") for level in LEVELS), ("share", "share")]:
-            value = float(s[quantity])
-            if math.isnan(value):
+            if math.isnan(value := float(s[quantity])):
                 continue
-            name = "frames" if quantity == "share" else quantity
-            column = column_name(s["model"], s["method"], s["over"], statistic, name)
-            more = keys | {"statistic": statistic, "quantity": name}
-            add(TABLE_III, s, s["subset"], column, value, str(s[f"{quantity}_text"]), "%", **more)
+            keys["quantity"], keys["statistic"] = "frames" if quantity == "share" else quantity, statistic
+            keys["column"] = column_name(s["model"], s["method"], s["over"], statistic, keys["quantity"])
+            add(s, value, str(s[f"{quantity}_text"]), "%", table=TABLE_III, row=s["subset"], **keys)
     return pd.DataFrame(rows)
 
 
@@ -196,21 +180,16 @@ class LocaliserErrors:
     interval: str
 
 
-def localiser_errors(scene: SceneInputs, cells: pd.DataFrame) -> list[LocaliserErrors]:
+def localiser_errors(scene: SceneInputs, cells: pd.DataFrame) -> Iterator[LocaliserErrors]:
     """What each localiser reaches; none without errors."""
     ours = cells[(cells["source"] == OURS) & (cells["scene"] == scene.name) & (cells["table"] == TABLE_IV)]
     ours = ours[ours["row"] == "all"]
-    found = []
     for model in scene.models:
         for method in dict.fromkeys([RAW_METHOD, scene.best(model)]):
-            of_way = ours[(ours["model"] == model) & (ours["method"] == method)].drop_duplicates(
-                ["statistic", "quantity"]
-            )
+            of_way = ours[(ours["model"] == model) & (ours["method"] == method)]
             text = of_way.set_index(["statistic", "quantity"])["text"]
-            if method is None or text.empty:
-                continue
-            found.append(
-                LocaliserErrors(
+            if method is not None and len(text):
+                yield LocaliserErrors(
                     model=model,
                     name=scene.label(model) + (scene.method_labels[method] or ", alone"),
                     is_structure=model in set(scene.localisers["model"]),
@@ -221,8 +200,6 @@ def localiser_errors(scene: SceneInputs, cells: pd.DataFrame) -> list[LocaliserE
                     coverage=text["coverage", "frames"],
                     interval=_interval(scene, model, method),
                 )
-            )
-    return found
 
 
 def _interval(scene: SceneInputs, model: str, method: str) -> str:

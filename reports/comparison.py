@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from groundwalk.geometry.poses import Array
 from groundwalk.reports import style
-from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row, html_table
+from groundwalk.reports.grids import EMPTY, Grid, html_table, plain_grid
 from groundwalk.reports.templating import plain_page
 from groundwalk.scoring.bootstrap import CONFIDENCE, DRAWS, drawn_figures, draws
 from groundwalk.scoring.errors import sure_enough
@@ -24,18 +24,11 @@ PIECE = 10
 """Consecutive frames of a walk that are drawn together."""
 MIN_PIECES = 3
 _TRUTH, _ALONE = "ground truth", "raw"
-# What of each is compared, of drawn_figures, and what it's called.
-_FIGURES = {
-    _TRUTH: {
-        "coverage_pct": "frames with one (%)",
-        "position_median_m": "sigma, position",
-        "rotation_median_deg": "sigma, rotation (°)",
-    },
-    _ALONE: {
-        "coverage_pct": "coverage (%)",
-        "position_median_m": "median position",
-        "rotation_median_deg": "median rotation (°)",
-    },
+# What is compared, of drawn_figures, and what it's called of each.
+_COMPARED = ("coverage_pct", "position_median_m", "rotation_median_deg")
+_NAMES = {
+    _TRUTH: ("frames with one (%)", "sigma, position", "sigma, rotation (°)"),
+    _ALONE: ("coverage (%)", "median position", "median rotation (°)"),
 }
 
 
@@ -77,6 +70,12 @@ class Difference:
         return self.is_clear and (self.after < self.before) == self.more_is_better
 
     @property
+    def verdict(self) -> str:
+        if np.isnan(self.low):
+            return "too few frames to tell"
+        return ("worse" if self.is_worse else "better") if self.is_clear else "the same"
+
+    @property
     def percent(self) -> float:
         """The change, in percent of what it was."""
         return 100 * (self.after - self.before) / self.before if self.before else float("nan")
@@ -111,13 +110,12 @@ def _ways(run: ComparedRun) -> Iterator[tuple[str, str]]:
 
 
 def _errors(errors: pd.DataFrame, model: str, method: str) -> pd.DataFrame:
-    """The errors in time of test frames; those of a method with several options are of the first."""
+    """The errors in time of test frames."""
     rows = errors[(errors["model"] == model) & (errors["split"] == "test")]
     if method == _ALONE:  # which stands by each method's
         rows, prefix = rows.drop_duplicates(["scene", "frame_id"]), "raw_"
     else:
         rows, prefix = rows[rows["method"] == method], "live_"
-        rows = rows[rows["options"] == rows["options"].iloc[0]] if len(rows) else rows
     return rows.assign(position=rows[f"{prefix}position_m"], rotation=rows[f"{prefix}rotation_deg"])
 
 
@@ -130,7 +128,7 @@ def _paired(run: str, subject: str, kind: str, before: pd.DataFrame, after: pd.D
     walks = both.groupby(["scene", "session_id"])
     pieces = pd.factorize(walks.ngroup() * len(both) + walks.cumcount() // PIECE)[0]
     weights = draws(int(pieces.max()) + 1)[:, pieces]
-    values = [
+    first, other = (
         dict(
             drawn_figures(
                 both[f"position_{side}"].to_numpy(float),
@@ -140,12 +138,12 @@ def _paired(run: str, subject: str, kind: str, before: pd.DataFrame, after: pd.D
             )
         )
         for side in (0, 1)
-    ]
-    for figure, name in _FIGURES[kind].items():
-        low, high = (
-            _bounds(values[0][figure][1:], values[1][figure][1:]) if pieces.max() + 1 >= MIN_PIECES else (np.nan,) * 2
-        )
-        numbers = (float(values[0][figure][0]), float(values[1][figure][0]), low, high)
+    )
+    for figure, name in zip(_COMPARED, _NAMES[kind], strict=True):
+        low, high = np.nan, np.nan
+        if pieces.max() + 1 >= MIN_PIECES:
+            low, high = _bounds(first[figure][1:], other[figure][1:])
+        numbers = (float(first[figure][0]), float(other[figure][0]), low, high)
         yield Difference(run, subject, name, len(both), *numbers, more_is_better=figure == "coverage_pct")
 
 
@@ -158,20 +156,14 @@ def _bounds(before: Array, after: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def settings_that_differ(runs: list[ComparedRun]) -> Grid:
-    """Settings, versions, seeds and captures that aren't the same in all runs."""
+def settings_that_differ(runs: list[ComparedRun]) -> Grid | None:
+    """Settings, versions, seeds and captures that aren't the same in all runs; None where there are none."""
     facts = [dict(_facts(run)) for run in runs]
-    names = list(dict.fromkeys(name for of_run in facts for name in of_run))
-    rows = []
-    for name in names:
-        values = [of_run.get(name, EMPTY) for of_run in facts]
-        if len(set(values)) > 1:
-            rows.append(Row((*name, *values), OURS))
-    caption = "Settings, versions, seeds, captures and files that aren't the same in all runs" + (
-        "." if rows else ": none."
-    )
-    columns = tuple(("", name) for name in ("stage", "what", *(run.name for run in runs)))
-    return Grid("settings", "What was done differently", caption, columns, (Block("", tuple(rows)),), len(columns))
+    names = dict.fromkeys(name for of_run in facts for name in of_run)
+    rows = [(*name, *values) for name in names if len({*(values := [f.get(name, EMPTY) for f in facts])}) > 1]
+    heads = " | ".join(["stage", "what", *(run.name.replace(" | ", "|") for run in runs)])
+    caption = "Settings, versions, seeds, captures and files that aren't the same in all runs."
+    return plain_grid("settings", "What was done differently", caption, heads, rows, 2 + len(runs))
 
 
 def _facts(run: ComparedRun) -> Iterator[tuple[tuple[str, str], str]]:
@@ -180,10 +172,8 @@ def _facts(run: ComparedRun) -> Iterator[tuple[tuple[str, str], str]]:
             yield (stage, name), str(manifest.get(name))
         for name, hashes in manifest.get("inputs", {}).items():
             if "/" not in name:  # what another stage made follows from that stage's
-                yield (
-                    (stage, name),
-                    str(hashes)[:80] if not isinstance(hashes, dict) else str(hashes.get("sha256", hashes))[:12],
-                )
+                is_digest = isinstance(hashes, dict)
+                yield (stage, name), str(hashes.get("sha256", hashes))[:12] if is_digest else str(hashes)[:80]
         yield from (((stage, name), text) for name, text in _flat(manifest.get("settings", {})))
 
 
@@ -195,54 +185,22 @@ def _flat(settings: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str
             yield prefix + name, str(value)
 
 
-def figures_grid(found: list[Difference], unit: str) -> Grid:
+def figures_grid(found: list[Difference], unit: str) -> Grid | None:
     """All figures side by side, and which differ by more than noise."""
     rows = []
     for d in found:
         figure = d.figure if d.figure.endswith(")") else f"{d.figure} ({unit})"
-        bounds = EMPTY if np.isnan(d.low) else f"{d.low:+.3g} to {d.high:+.3g}"
-        verdict = (
-            "too few frames to tell"
-            if np.isnan(d.low)
-            else "worse"
-            if d.is_worse
-            else "better"
-            if d.is_clear
-            else "the same"
-        )
+        values = [f"{v:.4g}" if np.isfinite(v) else EMPTY for v in (d.before, d.after)]
         change = f"{d.percent:+.1f}" if np.isfinite(d.percent) else EMPTY
-        cells = (
-            d.run,
-            d.subject,
-            figure,
-            verdict,
-            str(d.frames),
-            *(_number(v) for v in (d.before, d.after)),
-            change,
-            bounds,
-        )
-        rows.append(Row(cells, OURS))
-    names = (
-        "run",
-        "of",
-        "figure",
-        "against the first",
-        "frames",
-        "first",
-        "this",
-        "change (%)",
-        "95 % of the difference",
-    )
+        bounds = EMPTY if np.isnan(d.low) else f"{d.low:+.3g} to {d.high:+.3g}"
+        rows.append([d.run, d.subject, figure, d.verdict, d.frames, *values, change, bounds])
+    heads = "run | of | figure | against the first | frames | first | this | change (%) | 95 % of the difference"
     caption = (
         f"Paired, over the frames that both runs have; {EMPTY}: infinite, as most frames have no pose. The same: the "
         f"difference isn't larger than noise, by drawing pieces of {PIECE} consecutive frames of a walk again, {DRAWS} "
         "times."
     )
-    return Grid("figures", "Figures", caption, tuple(("", name) for name in names), (Block("", tuple(rows)),), 4)
-
-
-def _number(value: float) -> str:
-    return f"{value:.4g}" if np.isfinite(value) else EMPTY
+    return plain_grid("figures", "Figures", caption, heads, rows, 4)
 
 
 def picture(found: list[Difference], folder: Path) -> str:
@@ -267,24 +225,18 @@ def picture(found: list[Difference], folder: Path) -> str:
 
 def comparison_page(runs: list[ComparedRun], found: list[Difference], folder: Path) -> str:
     """The page as HTML; `folder` is for the picture's files."""
-    parts = [Markup(html_table(figures_grid(found, runs[0].unit))), Markup(html_table(settings_that_differ(runs)))]
+    banner = Markup('<p class="banner">{}</p>')
+    parts = []
+    if len({str(run.manifests.get("import", {}).get("inputs")) for run in runs}) > 1:
+        parts.append(banner.format("The captures differ: frames are paired by their names, whatever they show."))
     if found:
         caption = (
             "Each figure's change with its 95 % interval; grey: not larger than noise."
             " Of coverage and frames with ground truth more is better, of all others less."
         )
-        svg = Markup(picture(found, folder))
-        parts.insert(
-            0, Markup('<figure class="picture wide">{}<figcaption>{}</figcaption></figure>').format(svg, caption)
-        )
+        shown = Markup('<figure class="picture wide">{}<figcaption>{}</figcaption></figure>')
+        parts.append(shown.format(Markup(picture(found, folder)), caption))
     else:
-        parts.insert(
-            0,
-            Markup('<p class="banner">{}</p>').format(
-                "These runs have no frames in common: there is nothing to compare but settings."
-            ),
-        )
-    if len({str(run.manifests.get("import", {}).get("inputs")) for run in runs}) > 1:
-        warning = "The captures differ: frames are paired by their names, whatever they show."
-        parts.insert(0, Markup('<p class="banner">{}</p>').format(warning))
+        parts.append(banner.format("These runs have no frames in common: there is nothing to compare but settings."))
+    parts += [html_table(figures_grid(found, runs[0].unit)), html_table(settings_that_differ(runs))]
     return plain_page(" / ".join(run.name for run in runs), "comparison", parts)

@@ -1,4 +1,5 @@
-"""The page's smaller tables: capture, ground truth, models, checks, and how the artefacts came about."""
+"""The page's smaller tables: capture, ground truth, models, checks, and how the artefacts came about. Each is None
+where there is nothing to show."""
 
 import json
 import math
@@ -9,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.reports.cells import LEVELS, LocaliserErrors, digits_of, number
-from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row
+from groundwalk.reports.grids import EMPTY, Grid, plain_grid
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.run_checks import AGREES
 from groundwalk.reports.statistics import by_walk
@@ -18,11 +19,6 @@ from groundwalk.scoring.errors import SURE_CLASSES
 from groundwalk.store.choices import MapUnit, Rejected
 from groundwalk.store.progress import format_seconds
 from groundwalk.store.text import grouped_reasons
-
-
-def _grid(key: str, title: str, caption: str, columns: list[str], rows: list[list[Any]], labels: int = 1) -> Grid:
-    lines = tuple(Row(tuple(str(cell) for cell in row), OURS) for row in rows)
-    return Grid(key, title, caption, tuple(("", c) for c in columns), (Block("", lines),), labels)
 
 
 def _records(frame: pd.DataFrame) -> list[Any]:
@@ -37,49 +33,37 @@ def _range(values: pd.Series) -> str:
 
 
 def headline(scene: SceneInputs, found: list[LocaliserErrors]) -> Grid | None:
-    """What each localiser reaches; None where that isn't known. Its caption says what stands by each number."""
+    """What each localiser reaches. Its caption says what stands by each number."""
+    heads = (
+        f"localiser | median position ({scene.unit.symbol}) | median rotation (°) | high/medium/low (%) | coverage (%)"
+    )
     rows = [[r.name, r.position, r.rotation, r.levels, r.coverage, r.interval] for r in found]
-    columns = ["localiser", f"median position ({scene.unit.symbol})", "median rotation (°)"]
-    columns += ["high/medium/low (%)", "coverage (%)", "95 % of the median position"]
     truth = scene.ground_truth.loc[scene.ground_truth["frame_id"].isin(scene.errors["frame_id"])]
     truth = truth[truth["split"] == "test"]
     sd, joint = truth["position_sd_m"].median(), truth["frame_id"].isin(scene.registered).sum()
-    kind = "Simulated" if scene.simulated else "Measured"
+    chosen = scene.validation[scene.validation["model"].isin([model for model in scene.models if scene.ahead(model)])]
+    how = f" Methods were chosen by {chosen['frames'].max():.0f} frames held out of training." if len(chosen) else ""
     caption = (
-        f"{kind}, over {scene.scored_frames} test frames with ground truth of {scene.test_frames}; coverage is the "
-        "share of them that got a pose in time, and one without a pose counts as failed. The ground truth's own sigma "
-        f"there is {number(sd, 4)} {scene.unit.symbol} (median): an error of that size says nothing. {joint} of these "
-        "queries took part in the structure from motion that their ground truth is from, which flatters localisers by "
-        "structure"
+        f"{'Simulated' if scene.simulated else 'Measured'}, over {scene.scored_frames} test frames with ground truth "
+        f"of {scene.test_frames}; coverage is the share of them that got a pose in time, and one without a pose counts "
+        f"as failed. The ground truth's own sigma there is {number(sd, 4)} {scene.unit.symbol} (median): an error of "
+        f"that size says nothing. {joint} of these queries took part in the structure from motion that their ground "
+        "truth is from, which flatters localisers by structure. 95 %: the median with other walks, by drawing the "
+        f"sessions again; with few it says little.{how}"
     )
-    caption += ". 95 %: the median with other walks, by drawing the sessions again; with few it says little"
-    chosen = 0
-    if scene.validation is not None:
-        ahead = scene.validation["model"].isin([model for model in scene.models if scene.ahead(model)])
-        chosen = scene.validation.loc[ahead, "frames"].max() if ahead.any() else 0
-    caption += f". Methods were chosen by {chosen:.0f} frames held out of training." if chosen else "."
-    return _grid(f"headline-{scene.name}", "Localisers", caption, columns, rows) if rows else None
+    key = f"headline-{scene.name}"
+    return plain_grid(key, "Localisers", caption, f"{heads} | 95 % of the median position", rows)
 
 
-def classes(scene: SceneInputs, verdict: Verdict) -> Grid:
+def classes(scene: SceneInputs, verdict: Verdict) -> Grid | None:
     """How far the frames of each quality class can be trusted."""
     unit, per = small_unit(scene.unit)
-    columns = [
-        "class",
-        "frames",
-        "share (%)",
-        "of these test",
-        f"position ± ({unit})",
-        "rotation ± (°)",
-        "accuracy levels",
-    ]
+    heads = f"class | frames | share (%) | of these test | position ± ({unit}) | rotation ± (°) | accuracy levels"
     rows = []
     for name, of_class in verdict.frames.groupby("quality"):
         sigmas = [
-            f"{_figure(of_class[c].median() * f)} to {_figure(of_class[c].max() * f)}"
-            if of_class[c].notna().any()
-            else EMPTY
-            for c, f in (("position_sd", per), ("rotation_sd_deg", 1.0))
+            f"{_figure(sd.median())} to {_figure(sd.max())}" if sd.notna().any() else EMPTY
+            for sd in (per * of_class["position_sd"], of_class["rotation_sd_deg"])
         ]
         counted = "counted" if name in SURE_CLASSES else "left out" if name != "none" else "not scored"
         tested, share = int((of_class["split"] == "test").sum()), 100 * len(of_class) / len(verdict.frames)
@@ -89,15 +73,15 @@ def classes(scene: SceneInputs, verdict: Verdict) -> Grid:
         "least certain axis, from the median of the class to its largest. Scale and vertical, which all frames share, "
         "come on top."
     )
-    return _grid(f"quality-{scene.name}", "Which frames to trust", caption, columns, rows)
+    return plain_grid(f"quality-{scene.name}", "Which frames to trust", caption, heads, rows)
 
 
 def problems(name: str, found: list[Problem]) -> Grid | None:
-    """What was refused, left out or is undecided, and what to do; None where nothing was."""
+    """What was refused, left out or is undecided, and what to do."""
     rows = [[p.what, EMPTY if p.count is None else p.count, p.why, p.do or EMPTY] for p in found]
-    columns = ["what", "frames", "why", "what to do"]
     caption = "What the checks refused, and what would decide or mend it (docs/how-to/failed-check.md)."
-    return _grid(f"problems-{name}", "Refused or undecided", caption, columns, rows, 4) if rows else None
+    heads = "what | frames | why | what to do"
+    return plain_grid(f"problems-{name}", "Refused or undecided", caption, heads, rows, 4)
 
 
 def true_errors(scene: SceneInputs, verdict: Verdict) -> Grid | None:
@@ -118,7 +102,7 @@ def true_errors(scene: SceneInputs, verdict: Verdict) -> Grid | None:
         "origin, which are free, were fitted. Stated: one sigma along a frame's least certain axis, scale and vertical "
         "included. What all frames share is one draw, so all frames may be inside their bounds, or few."
     )
-    return _grid(f"truth-{scene.name}", "Stated against true", caption, ["", "stated", "true"], rows)
+    return plain_grid(f"truth-{scene.name}", "Stated against true", caption, " | stated | true", rows)
 
 
 def small_unit(unit: MapUnit) -> tuple[str, float]:
@@ -130,10 +114,9 @@ def _figure(value: float) -> str:
     return f"{value:.2g}" if math.isfinite(value) else EMPTY
 
 
-def sessions(scene: SceneInputs) -> Grid:
+def sessions(scene: SceneInputs) -> Grid | None:
     """What was captured, and what import made of it."""
-    columns = ["session", "format", "device", "split", "time (s)", "path (m)", "poses", "images", "frames"]
-    columns += ["images left out"]
+    heads = "session | format | device | split | time (s) | path (m) | poses | images | frames | images left out"
     left_out = scene.rejects.loc[scene.rejects["rejected"] == Rejected.IMAGE, "session_id"].value_counts()
     rows = []
     for s in _records(scene.sessions.sort_values("session_id")):
@@ -141,14 +124,12 @@ def sessions(scene: SceneInputs) -> Grid:
         numbers = [*walked, s.poses, s.images, s.frames, left_out.get(s.session_id, 0)]
         rows.append([s.session_id, s.format, s.device, s.split, *numbers])
     caption = "As recorded by the phone." if scene.vio_sessions else "As the data set has them."
-    return _grid(f"sessions-{scene.name}", "Sessions", caption, columns, rows, 4)
+    return plain_grid(f"sessions-{scene.name}", "Sessions", caption, heads, rows, 4)
 
 
 def rejects(scene: SceneInputs) -> Grid | None:
-    """How many images were left out, by reason; and depth images and other rows. None where nothing was."""
-    if scene.rejects.empty:
-        return None
-    reason = pd.Series(grouped_reasons(list(scene.rejects["reason"])), index=scene.rejects.index)
+    """How many images were left out, by reason; and depth images and other rows."""
+    reason = pd.Series(grouped_reasons(list(scene.rejects["reason"])), index=scene.rejects.index, dtype=object)
     kinds = {"images": Rejected.IMAGE, "depth images": Rejected.DEPTH}
     counts = pd.DataFrame({name: scene.rejects["rejected"] == kind for name, kind in kinds.items()})
     counts["other rows"] = ~counts.any(axis=1)
@@ -157,47 +138,28 @@ def rejects(scene: SceneInputs) -> Grid | None:
         "What import left out of the captures. A frame whose depth image is left out stays; other rows are poses "
         "without an image, and rows that can't be read. Images that sampling doesn't select aren't counted."
     )
-    return _grid(f"rejects-{scene.name}", "Left out", caption, ["reason", *counts.columns], rows)
+    return plain_grid(f"rejects-{scene.name}", "Left out", caption, " | ".join(["reason", *counts.columns]), rows)
 
 
 def alignment(scene: SceneInputs) -> Grid | None:
-    """How well each session's VIO fits the map; None where there is no VIO."""
+    """How well each session's VIO fits the map."""
+    heads = "session | part | ground truth | VIO scale | up (°) | position rms (m) | max (m) | rotation rms (°)"
     fitted = scene.align_sessions[scene.align_sessions["session_id"].isin(scene.vio_sessions)]
-    if fitted.empty:
-        return None
-    columns = [
-        "session",
-        "part",
-        "ground truth",
-        "VIO scale",
-        "up (°)",
-        "position rms (m)",
-        "max (m)",
-        "rotation rms (°)",
-    ]
     rows = []
     for s in _records(fitted.sort_values(["session_id", "segment"])):
-        fit = [number(s.scale, 4), number(s.up_error_deg, 2), number(s.position_rms_m, 3), number(s.position_max_m, 3)]
-        rows.append(
-            [s.session_id, s.segment, f"{s.with_ground_truth} of {s.frames}", *fit, number(s.rotation_rms_deg, 2)]
-        )
+        known = f"{s.with_ground_truth} of {s.frames}"
+        fit = ((s.scale, 4), (s.up_error_deg, 2), (s.position_rms_m, 3), (s.position_max_m, 3), (s.rotation_rms_deg, 2))
+        rows.append([s.session_id, s.segment, known, *(number(value, digits) for value, digits in fit)])
     caption = "Each session's VIO fitted rigidly to the map: metres of VIO per metre of the map, and what is left."
-    return _grid(f"alignment-{scene.name}", "VIO against the map", caption, columns, rows, 2)
+    return plain_grid(f"alignment-{scene.name}", "VIO against the map", caption, heads, rows, 2)
 
 
 def users(scene: SceneInputs) -> Grid | None:
     """What a user of each method sees on the test walks; None where nothing is fused."""
     if not scene.fuses:
         return None
-    columns = [
-        "model",
-        "method",
-        "first pose (s)",
-        "longest outage (s)",
-        f"jitter ({scene.unit.symbol})",
-        "jitter (°)",
-        "recovery (s)",
-    ]
+    heads = "model | method | first pose (s) | longest outage (s)"
+    heads += f" | jitter ({scene.unit.symbol}) | jitter (°) | recovery (s)"
     test = scene.fused_sessions[scene.fused_sessions["split"] == "test"]
     test = test[~test["session_id"].isin(scene.unfused_sessions)]
     rows = []
@@ -205,9 +167,9 @@ def users(scene: SceneInputs) -> Grid | None:
         part = test[test["method"].isin(scene.offline) == offline]
         for key, of_method in part.groupby(["model", "method"], sort=False):
             jitter = [number(float(of_method[c].mean()), 3) for c in ("jitter_m", "jitter_deg")]
-            silent = of_method["answered"].eq(0).any()
             first, outage = (f"{of_method[c].max():.1f}" for c in ("first_fix_s", "longest_outage_s"))
-            first, outage = ("never", "a whole walk") if silent else (first, outage)
+            if of_method["answered"].eq(0).any():
+                first, outage = "never", "a whole walk"
             recovery = of_method["recovery_s"].dropna()
             back = EMPTY if recovery.empty else "never" if np.isinf(recovery.max()) else f"{recovery.max():.1f}"
             rows.append([key[0], f"{key[1]} (offline)" if offline else key[1], first, outage, *jitter, back])
@@ -218,22 +180,13 @@ def users(scene: SceneInputs) -> Grid | None:
         "mean over sessions; and the longest time until answers are as good as usual again after 10 s or more without "
         f"a frame ({EMPTY}: there was no such time)."
     )
-    return _grid(f"users-{scene.name}", "What a user sees", caption, columns, rows, 2)
+    return plain_grid(f"users-{scene.name}", "What a user sees", caption, heads, rows, 2)
 
 
-def walks(scene: SceneInputs) -> Grid:
+def walks(scene: SceneInputs) -> Grid | None:
     """What each model alone is worth on each test walk, or in each appearance of a simulated scene."""
     by, scores = by_walk(scene)
-    columns = [
-        "model",
-        by,
-        "frames",
-        "answered",
-        f"median ({scene.unit.symbol})",
-        "median (°)",
-        "frames of class A, B",
-        *(f"{level} (%)" for level in LEVELS),
-    ]
+    heads = f"model | {by} | frames | answered | median ({scene.unit.symbol}) | median (°) | frames of class A, B | "
     rows = []
     for (model, walk), s in scores.items():
         errors = [number(error, digits_of(error)) for error in (s.median_m, s.median_deg)]
@@ -246,14 +199,12 @@ def walks(scene: SceneInputs) -> Grid:
     )
     if by == "appearance":
         caption += " The walks are the same in each appearance, pose by pose; training frames are of appearance same."
-    return _grid(f"walks-{scene.name}", f"Errors by {by}", caption, columns, rows, 2)
+    heads += " | ".join(f"{level} (%)" for level in LEVELS)
+    return plain_grid(f"walks-{scene.name}", f"Errors by {by}", caption, heads, rows, 2)
 
 
 def drift(scene: SceneInputs) -> Grid | None:
-    """All measures of VIO drift, all sessions together; None where there is no VIO."""
-    if not scene.vio_sessions:
-        return None
-    columns = ["measure", "over", "unit", "samples", "mean", "median", "rms", "95 %", "max"]
+    """All measures of VIO drift, all sessions together."""
     rows = []
     for d in _records(scene.drift[scene.drift["session_id"] == "all"]):
         over = d.interval_unit if math.isnan(d.interval) else f"{d.interval:g} {d.interval_unit}"
@@ -263,11 +214,12 @@ def drift(scene: SceneInputs) -> Grid | None:
         "All sessions together; docs/explanation/ground-truth.md defines each measure. paper_rpe and paper_roe are the "
         "paper's equations 4 and 5."
     )
-    return _grid(f"drift-{scene.name}", "VIO drift", caption, columns, rows, 3)
+    heads = "measure | over | unit | samples | mean | median | rms | 95 % | max"
+    return plain_grid(f"drift-{scene.name}", "VIO drift", caption, heads, rows, 3)
 
 
 def consistency(scene: SceneInputs) -> Grid | None:
-    """Consistency checks of the ground truth, one line a check; None where nothing was checked."""
+    """Consistency checks of the ground truth, one line a check."""
     rows = []
     for check, of_check in scene.align_checks.groupby("check", sort=False):
         open_ones = of_check[of_check["status"] != "passed"]
@@ -275,64 +227,57 @@ def consistency(scene: SceneInputs) -> Grid | None:
         counts = [int((of_check["status"] == name).sum()) for name in ("failed", "undecided")]
         unit = of_check["unit"].iloc[0]
         rows.append([check, status, unit, len(of_check), *counts, _range(of_check["value"]), _range(of_check["limit"])])
-    columns = ["check", "status", "unit", "checks", "failed", "undecided", "value", "limit"]
+    heads = "check | status | unit | checks | failed | undecided | value | limit"
     caption = "What had to hold before ground truth was given out."
-    return _grid(f"consistency-{scene.name}", "Consistency checks", caption, columns, rows, 3) if rows else None
+    return plain_grid(f"consistency-{scene.name}", "Consistency checks", caption, heads, rows, 3)
 
 
 def localisers(scene: SceneInputs) -> Grid | None:
-    """What each structure localiser keeps, costs and refused; None where there is none."""
+    """What each structure localiser keeps, costs and refused."""
     test = scene.predictions[scene.predictions["split"] == "test"]
     rows = []
     for card in _records(scene.localisers):
         said = test[test["model"] == card.model]
-        codes = said["refusal"].value_counts()
-        refused = ", ".join(f"{count} {code}" for code, count in codes.items()) or "none"
+        refused = ", ".join(f"{count} {code}" for code, count in said["refusal"].value_counts().items()) or "none"
         answered = said[said["refusal"].isna()]
         figures = [number(float(values.median()), 0) for values in (answered["inliers"], said["cpu_ms"])]
         row = [card.label, card.meaning, f"{card.bytes / 2**20:.2f}", card.points, card.train_frames]
         rows.append([*row, *figures, number(card.build_cpu_seconds, 0), f"{refused} of {len(said)}"])
-    columns = ["localiser", "what it is", "MiB", "points", "training frames", "inliers", "a query (CPU ms)"]
-    columns += ["built in (CPU s)", "test frames refused"]
+    heads = "localiser | what it is | MiB | points | training frames | inliers | a query (CPU ms) | built in (CPU s)"
     caption = (
         "Built from the training frames alone; a refused frame counts as failed in all tables. Inliers: the median."
     )
-    return _grid(f"localisers-{scene.name}", "Structure localisers", caption, columns, rows, 2) if rows else None
+    key = f"localisers-{scene.name}"
+    return plain_grid(key, "Structure localisers", caption, f"{heads} | test frames refused", rows, 2)
 
 
 def checks(findings: pd.DataFrame, source: str) -> Grid | None:
-    """The findings about one source's tables that don't agree; None where all agree."""
+    """The findings about one source's tables that don't agree."""
     rows = [
         [f.check, f.table, f.scene, f.subset, f.column, f.expected, f.printed, f.status, f.because]
         for f in _records(findings[(findings["source"] == source) & (findings["status"] != AGREES)])
     ]
-    columns = ["rule", "table", "scene", "subset", "column", "by the rule", "printed", "status", "why"]
-    caption = "Rules: docs/explanation/reports.md."
-    return _grid(f"checks-{source}", "What doesn't agree", caption, columns, rows, len(columns)) if rows else None
+    heads = "rule | table | scene | subset | column | by the rule | printed | status | why"
+    return plain_grid(f"checks-{source}", "What doesn't agree", "Rules: docs/explanation/reports.md.", heads, rows, 9)
 
 
-def provenance(scene: SceneInputs) -> Grid:
-    """When, where and how long each stage ran."""
-    columns = ["stage", "finished (UTC)", "revision", "machine", "seconds a step", "time", "memory (MiB)", "seed"]
+def provenance(scene: SceneInputs) -> Grid | None:
+    """When, where and how long each stage ran, and with which versions."""
     rows = []
+    of_package: dict[str, list[str]] = {}
     for name, m in scene.manifests.items():
         steps = ", ".join(f"{step} {seconds:.0f}" for step, seconds in m["seconds"].items())
         finished = m["finished"].replace("T", " ").removesuffix("+00:00")
         figures = [format_seconds(m["total_seconds"]), f"{m['peak_memory_mib']:.0f}", m["seed"]]
         rows.append([name, finished, m["git_revision"], m["machine"], steps, *figures])
-    grid = _grid(f"provenance-{scene.name}", "Stages", "As each stage's manifest has it.", columns, rows, 5)
-    return replace(grid, notes=(versions(scene),))
+        for package, version in m["versions"].items():
+            of_package.setdefault(package, []).append(version)
+    versions = ", ".join(f"{package} {' and '.join(dict.fromkeys(v))}" for package, v in of_package.items())
+    heads = "stage | finished (UTC) | revision | machine | seconds a step | time | memory (MiB) | seed"
+    grid = plain_grid(f"provenance-{scene.name}", "Stages", "As each stage's manifest has it.", heads, rows, 5)
+    return grid and replace(grid, notes=(versions,))
 
 
 def stage_settings(scene: SceneInputs) -> list[tuple[str, str]]:
     """Each stage's resolved settings as JSON."""
     return [(name, json.dumps(m["settings"], indent=1, ensure_ascii=False)) for name, m in scene.manifests.items()]
-
-
-def versions(scene: SceneInputs) -> str:
-    """The versions that the stages ran with."""
-    of_package: dict[str, list[str]] = {}
-    for m in scene.manifests.values():
-        for package, version in m["versions"].items():
-            of_package.setdefault(package, []).append(version)
-    return ", ".join(f"{package} {' and '.join(dict.fromkeys(v))}" for package, v in of_package.items())

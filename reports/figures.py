@@ -1,8 +1,8 @@
 """The report's figures, each from tables alone, one panel below the other: a column's width is what a phone and a
-paper have."""
+paper have. Each function gives the name of a figure's files, its caption, and the figure."""
 
 from dataclasses import dataclass
-from itertools import chain
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,35 +15,35 @@ from groundwalk.reports import style
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.store.choices import MapUnit
 
+Named = tuple[str, str, Figure]
+
 
 @dataclass(frozen=True)
-class NamedFigure:
-    """A figure with the name of its files and its caption."""
+class Picture:
+    """A figure in the page: its SVG, and what it shows."""
 
-    name: str
+    svg: str
     caption: str
-    figure: Figure
 
 
-def scene_figures(scene: SceneInputs) -> dict[str, list[NamedFigure]]:
-    """All figures of a scene, by the section of the page that they belong to, as far as its stages are finished."""
+def scene_figures(scene: SceneInputs, folder: Path) -> dict[str, list[Picture]]:
+    """All figures of a scene, by the section of the page that they belong to, as far as its stages are finished;
+    written into a folder."""
+    pictures: dict[str, list[Picture]] = {"drift": [], "training": [], "errors": []}
     with style.applied():
-        has_errors = "fuse" in scene.stages
-        figures = {
-            "drift": [drift(scene)] if len(scene.residuals) and scene.vio_sessions else [],
-            "training": [learning_curves(scene)] if len(scene.history) else [],
-            "errors": [error_distributions(scene)] if has_errors else [],
-        }
-        for figure in chain.from_iterable(figures.values()):
-            # A picture is passed on without its caption.
-            style.mark(figure.figure, f"{scene.name}: {scene.marker()}")
-    return figures
+        for part, has_data, draw in (
+            ("drift", len(scene.residuals) > 0 and scene.vio_sessions, drift),
+            ("training", len(scene.history) > 0, learning_curves),
+            ("errors", "fuse" in scene.stages, error_distributions),
+        ):
+            if has_data:
+                name, caption, figure = draw(scene)
+                style.mark(figure, f"{scene.name}: {scene.marker()}")  # a picture is passed on without its caption
+                pictures[part].append(Picture(style.save(figure, folder, f"{scene.name}-{name}"), caption))
+    return pictures
 
 
-# --- ground truth -----------------------------------------------------------------------------------------------
-
-
-def drift(scene: SceneInputs) -> NamedFigure:
+def drift(scene: SceneInputs) -> Named:
     """VIO against ground truth: relative position error over travelled distances, by session and of all."""
     figure, (ax,) = style.new_figure(1, 2.2)
     rows = scene.drift[scene.drift["definition"] == "distance_position"].sort_values("interval")
@@ -64,13 +64,10 @@ def drift(scene: SceneInputs) -> NamedFigure:
     caption = (
         f"{scene.name}: VIO's motion over a distance against the ground truth's; thin: the median of each session."
     )
-    return NamedFigure("vio-drift", caption, figure)
+    return "vio-drift", caption, figure
 
 
-# --- training ---------------------------------------------------------------------------------------------------
-
-
-def learning_curves(scene: SceneInputs) -> NamedFigure:
+def learning_curves(scene: SceneInputs) -> Named:
     """Loss on training frames and median errors on held-out ones, an epoch at a time; the selected epoch is marked."""
     figure, axes = style.new_figure(3, 1.6, sharex=True)
     colours = style.model_colours(scene)
@@ -95,13 +92,10 @@ def learning_curves(scene: SceneInputs) -> NamedFigure:
     axes[-1].set_xlabel("epoch")
     axes[0].legend(fontsize=7.5)
     caption = f"{scene.name}: learning curves on frames of the training walks; dots mark the selected epoch."
-    return NamedFigure("learning-curves", caption, figure)
+    return "learning-curves", caption, figure
 
 
-# --- errors ---------------------------------------------------------------------------------------------------
-
-
-def error_distributions(scene: SceneInputs) -> NamedFigure:
+def error_distributions(scene: SceneInputs) -> Named:
     """How many test frames lie within an error, a missing pose being a failure: each model alone, and fused in time."""
     figure, axes = style.new_figure(2, 2.1)
     colours = style.model_colours(scene)
@@ -110,10 +104,11 @@ def error_distributions(scene: SceneInputs) -> NamedFigure:
         for level in levels if scene.unit is MapUnit.METRE else ():
             ax.axvline(level, color=style.NEUTRAL, lw=0.8, ls=(0, (1, 2)))
         for model in scene.models:
-            alone, fused = scene.raw_errors(model), scene.frame_errors(model, scene.best(model))
-            _cumulative(ax, alone[f"raw_{quantity}_{unit}"], alone, colours[model], "--" if scene.fuses else "-")
+            alone = scene.raw_errors(model)
+            _cumulative(ax, alone, f"raw_{quantity}_{unit}", colours[model], "--" if scene.fuses else "-")
             if scene.fuses:
-                _cumulative(ax, fused[f"live_{quantity}_{unit}"], fused, colours[model], "-")
+                fused_errors = scene.frame_errors(model, scene.best(model))
+                _cumulative(ax, fused_errors, f"live_{quantity}_{unit}", colours[model], "-")
         ax.set(xscale="log", ylim=(0, 102), ylabel="frames within (%)")
         ax.set_xlabel(f"{quantity} error ({scene.unit.symbol if unit == 'm' else '°'})")
         style.log_axis(ax.xaxis)
@@ -122,17 +117,13 @@ def error_distributions(scene: SceneInputs) -> NamedFigure:
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7.5)
     caption = f"{scene.name}: share of test frames within an error; a frame without a pose counts as failed."
     if scene.fuses:
-        caption += f" Dashed: alone, over all test frames; solid: {_fused_labels(scene)} in time, {scene.all_frames}."
-    return NamedFigure("error-distribution", caption + " Dotted: the accuracy levels.", figure)
+        fused = ", ".join(scene.label(m) + scene.method_labels.get(scene.best(m) or "", "") for m in scene.models)
+        caption += f" Dashed: alone, over all test frames; solid: {fused} in time, {scene.all_frames}."
+    return "error-distribution", caption + " Dotted: the accuracy levels.", figure
 
 
-def _fused_labels(scene: SceneInputs) -> str:
-    """Each model with the method that stands for fusion with it."""
-    return ", ".join(scene.label(m) + scene.method_labels.get(scene.best(m) or "", "") for m in scene.models)
-
-
-def _cumulative(ax: Axes, errors: pd.Series, rows: pd.DataFrame, colour: str, dashes: str) -> None:
-    test = errors[rows["split"] == "test"]
+def _cumulative(ax: Axes, errors: pd.DataFrame, column: str, colour: str, dashes: str) -> None:
+    test = errors.loc[errors["split"] == "test", column]
     known = np.sort(test[np.isfinite(test)].to_numpy(float))
     if len(known):
         share = 100 * np.arange(1, len(known) + 1) / len(test)

@@ -2,8 +2,11 @@
 
 import html
 import re
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import groupby
+
+from markupsafe import Markup
 
 PUBLISHED, OURS = "published", "ours"
 _PAGE_COLUMNS = 11  # of numbers, side by side on a page
@@ -40,7 +43,7 @@ class Grid:
     columns: tuple[tuple[str, str], ...]
     blocks: tuple[Block, ...]
     labels: int = 2
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for block in self.blocks:
@@ -52,6 +55,15 @@ class Grid:
     def groups(self) -> list[tuple[str, int]]:
         """The headings over the columns, each with the number of columns under it."""
         return [(name, len(list(members))) for name, members in groupby(group for group, _ in self.columns)]
+
+
+def plain_grid(
+    key: str, title: str, caption: str, heads: str, rows: Iterable[Sequence[object]], labels: int = 1
+) -> Grid | None:
+    """A table of one block of ours, with ` | ` between its headings; None where there are no rows."""
+    lines = tuple(Row(tuple(map(str, row)), OURS) for row in rows)
+    columns = tuple(("", name) for name in heads.split(" | "))
+    return Grid(key, title, caption, columns, (Block("", lines),), labels) if lines else None
 
 
 # --- Markdown ---------------------------------------------------------------------------------------------------
@@ -148,9 +160,11 @@ def latex(grid: Grid) -> str:
 # --- HTML -------------------------------------------------------------------------------------------------------
 
 
-def html_table(grid: Grid) -> str:
-    """The table as an HTML fragment; rows have the class of their source, the page's style tells them apart. One that
-    is wider than a page has its columns as rows, a table a block: no cell is out of sight."""
+def html_table(grid: Grid | None) -> Markup:
+    """The table as an HTML fragment, empty without one; rows have the class of their source, the page's style tells
+    them apart. One that is wider than a page has its columns as rows, a table a block: no cell is out of sight."""
+    if grid is None:
+        return Markup()
     out = [f'<figure class="table" id="{grid.key}">']
     out.append(f"<figcaption><strong>{_text(grid.title)}.</strong> {_text(grid.caption)}</figcaption>")
     if len(grid.columns) > _PAGE_COLUMNS and max(len(block.rows) for block in grid.blocks) < len(grid.columns):
@@ -160,7 +174,7 @@ def html_table(grid: Grid) -> str:
     if grid.notes:
         out.append('<ul class="notes">' + "".join(f"<li>{_text(note)}</li>" for note in grid.notes) + "</ul>")
     out.append("</figure>")
-    return "\n".join(out) + "\n"
+    return Markup("\n".join(out) + "\n")
 
 
 def _upright(grid: Grid) -> str:
@@ -176,9 +190,7 @@ def _upright(grid: Grid) -> str:
         if block.title:
             out.append(f'<tr class="block"><th scope="rowgroup" colspan="{len(names)}">{_text(block.title)}</th></tr>')
         for row in block.rows:
-            cells = "".join(
-                _cell(cell, name, _label(i, grid)) for i, (cell, name) in enumerate(zip(row.cells, names, strict=True))
-            )
+            cells = "".join(_cell(cell, names[i], _label(i, grid)) for i, cell in enumerate(row.cells))
             out.append(f'<tr class="{row.source}{" average" if row.average else ""}">{cells}</tr>')
         out.append("</tbody>")
     return "\n".join([*out, "</table>"])

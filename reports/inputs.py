@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -46,11 +46,11 @@ _APPEARANCES = {
 class SceneInputs:
     """The tables of one scene that the report is made from.
 
-    Tables of stages that aren't finished are empty; `stages` are those that are. `stopped` is why a `stage` found no
-    result, with `what`, `where`, `expected`, `found` and `do`. `predictions` are the regressors' and the structure
-    localisers', `cards` and `localisers` say what these are. `true_T_cam` (N, 4, 4) are the simulator's poses of the
-    rows of `ground_truth`, None of a real capture. `manifests` has those of all stages that went in, by a name to
-    show. `validation` is None where no frames were held out of training, `checks_plot` where align left no picture.
+    Tables of stages that aren't finished are empty; `stages` are those that are. `stopped` is why sfm or align found no
+    result at its last attempt, with `what`, `where`, `expected`, `found` and `do`. `predictions` are the regressors'
+    and the structure localisers', `cards` and `localisers` say what these are. `true_T_cam` (N, 4, 4) are the
+    simulator's poses of the rows of `ground_truth`, None of a real capture. `manifests` has those of all stages that
+    went in, by a name to show. `checks_plot` is None where align left no picture.
     """
 
     name: str
@@ -80,7 +80,7 @@ class SceneInputs:
     intervals: pd.DataFrame
     fused_sessions: pd.DataFrame
     methods: pd.DataFrame
-    validation: pd.DataFrame | None
+    validation: pd.DataFrame
     checks_plot: Path | None
     manifests: dict[str, dict[str, Any]]
 
@@ -192,24 +192,17 @@ class SceneInputs:
 
     def ahead(self, model: str) -> str | None:
         """The method that is ahead on held-out frames for a model, maybe a raw one; None where that isn't known."""
-        if self.validation is None or self.fused_method is None:
-            return None
-        rows = self.validation[(self.validation["model"] == model) & self.validation["ahead"]]
-        return str(rows["method"].iloc[0]) if len(rows) else None
+        rows = self.validation[(self.validation["model"] == model) & self.validation["ahead"].astype(bool)]
+        return None if rows.empty or self.fused_method is None else str(rows["method"].iloc[0])
 
     def best(self, model: str) -> str | None:
         """The method that stands for fusion with a model: the one that is ahead, or the one that figures show."""
         return self.ahead(model) or self.fused_method
 
-    def fused_poses(self, model: str, method: str | None) -> pd.DataFrame:
-        """A method's poses for a model; where it was run with several options, those of the first."""
-        return _first_options(self.poses, model, method)
-
-    def frame_errors(self, model: str, method: str | None = None) -> pd.DataFrame:
-        """One row a frame with the raw regressor's errors, and those of a method, `fused_method` unless named, where it
-        has some; where it was run with several options, those of the first. Where it fuses, without frames of sessions
-        without VIO."""
-        fused = _first_options(self.errors, model, method or self.fused_method)
+    def frame_errors(self, model: str, method: str | None) -> pd.DataFrame:
+        """One row a frame with the raw regressor's errors, and those of a method where it has some. Where it fuses,
+        without frames of sessions without VIO."""
+        fused = self.errors[(self.errors["method"] == method) & (self.errors["model"] == model)]
         return fused if len(fused) else self.raw_errors(model)
 
     def raw_errors(self, model: str) -> pd.DataFrame:
@@ -252,8 +245,7 @@ class SceneInputs:
     @property
     def leak_s(self) -> float | None:
         """Seconds between the closest test and training frame of one recording, or None where none has both."""
-        leak_s: float | None = self.manifests["import"]["figures"]["leak_s"]
-        return leak_s
+        return cast(float | None, self.manifests["import"]["figures"]["leak_s"])
 
     @property
     def near_copies(self) -> float | None:
@@ -262,9 +254,9 @@ class SceneInputs:
 
     def why_meaningless(self) -> list[str]:
         """Reasons why this scene's accuracy means nothing; none where it may mean something."""
-        reasons: list[str] = []
         if not len(self.cards):
-            return reasons
+            return []
+        reasons = []
         trained_on = int((self.frames["split"] == "train").sum())
         if trained_on < ENOUGH_TRAINING_FRAMES:
             reasons.append(f"there are only {trained_on} training frames")
@@ -273,11 +265,6 @@ class SceneInputs:
         if (self.near_copies or 0) > MAX_NEAR_COPIES:
             reasons.append(f"{self.near_copies:.0%} of test images show nearly what a training image shows")
         return reasons
-
-
-def _first_options(rows: pd.DataFrame, model: str, method: str | None) -> pd.DataFrame:
-    rows = rows[(rows["method"] == method) & (rows["model"] == model)]
-    return rows[rows["options"] == rows["options"].iloc[0]] if len(rows) else rows
 
 
 def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
@@ -318,9 +305,14 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
     frames, images, truth = read("import", "frames"), read("sfm", "images"), read("align", "ground_truth")
     frames = with_gravity_of_map(dataset_frames(frames), truth)
     predictions = [p for p in (trained("predictions"), read("localise", "predictions")) if len(p)]
-    errors, methods, validation = fused("errors"), read("fuse", "methods", fused_by), fused("validation")
+    errors, methods = fused("errors"), read("fuse", "methods", fused_by)
     simulated = bool(manifests["import"]["simulated"])
     has_truth = simulated and len(truth) and (r.data.captures(leaf) / TRUE_POSES).is_file()
+    stopped: dict[str, str] = {}
+    for stage in ("align", "sfm"):
+        left = read_json(partial_folder(r.data.run(r.profile, leaf, stage)) / STOPPED)
+        if (leaf, stage) not in r.sources and left:
+            stopped = {name: str(text) for name, text in left.items()}
     final = r.data.run(r.profile, leaf, "align")
     plot = (final if (leaf, "align") in r.sources else partial_folder(final)) / "checks.png"
     return SceneInputs(
@@ -330,7 +322,7 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         profile=r.profile,
         seed=r.seed,
         stages=frozenset(name.split()[0] for name in manifests),
-        stopped=_stopped(r, leaf),
+        stopped=stopped,
         frames=frames,
         sessions=read("import", "sessions"),
         rejects=read("import", "rejects"),
@@ -352,19 +344,10 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         fused_sessions=fused("sessions"),
         # A group's methods may have had nothing to fuse in this scene.
         methods=methods[methods["method"].isin(errors["method"])].reset_index(drop=True),
-        validation=validation if len(validation) else None,
+        validation=fused("validation"),
         checks_plot=plot if plot.is_file() else None,
         manifests=manifests,
     )
-
-
-def _stopped(r: StageRun[Any], leaf: str) -> dict[str, str]:
-    """Why sfm or align stopped at its last attempt, from what it left; {} where neither did."""
-    for stage in ("sfm", "align"):
-        left = read_json(partial_folder(r.data.run(r.profile, leaf, stage)) / STOPPED)
-        if (leaf, stage) not in r.sources and left:
-            return {"stage": stage, **{name: str(text) for name, text in left.items()}}
-    return {}
 
 
 def _owner(r: StageRun[Any], leaf: str, stage: str) -> str:

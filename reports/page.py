@@ -10,6 +10,7 @@ from markupsafe import Markup
 from groundwalk.geometry.rows import evenly
 from groundwalk.reports import details
 from groundwalk.reports.cells import LocaliserErrors
+from groundwalk.reports.figures import Picture
 from groundwalk.reports.grids import OURS, Grid, html_table
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.templating import from_template
@@ -21,16 +22,8 @@ _SHEET = 8  # pictures that show what a capture is of
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A figure in the page: its SVG, and what it shows."""
-
-    svg: str
-    caption: str
-
-
-@dataclass(frozen=True)
 class SceneSection:
-    """What the page shows of one scene: figures by section, its tables by name (None where there is nothing to show),
+    """What the page shows of one scene: figures by section, its tables by name (empty where there is nothing to show),
     its map with the data of its frames, and each stage's settings."""
 
     scene: SceneInputs
@@ -42,12 +35,8 @@ class SceneSection:
     checks_plot: str
     pictures: dict[str, list[Picture]]
     localiser_errors: list[LocaliserErrors]
-    grids: dict[str, Grid | None]
+    tables: dict[str, Markup]
     settings: list[tuple[str, str]]
-
-    @property
-    def tables(self) -> dict[str, Markup]:
-        return {name: Markup(html_table(grid) if grid else "") for name, grid in self.grids.items()}
 
 
 def facts(scene: SceneInputs, verdict: Verdict) -> list[tuple[str, str, str]]:
@@ -58,17 +47,15 @@ def facts(scene: SceneInputs, verdict: Verdict) -> list[tuple[str, str, str]]:
     walked = "" if path_m != path_m else f", {path_m:.0f} m walked"
     many = "s" if len(scene.sessions) > 1 else ""
     devices = ", ".join(dict.fromkeys(filter(None, scene.sessions["device"])))
-    shown = [
-        (f"{len(frames)}", "frames", f"{len(scene.sessions)} session{many}{walked}; {devices or 'unknown device'}")
-    ]
+    captured = f"{len(scene.sessions)} session{many}{walked}; {devices or 'unknown device'}"
+    shown = [(f"{len(frames)}", "frames", captured)]
     if "align" not in scene.stages:
         return shown
     share = 100 * len(trusted) / max(len(frames), 1)
     coverage, longest = verdict.coverage()
     by_class = ", ".join(f"{name} {count}" for name, count in frames["quality"].value_counts().sort_index().items())
-    shown.append(
-        (f"{share:.0f} %", "of frames can be trusted", f"{len(trusted)} of class A or B; by class: {by_class}")
-    )
+    classes = f"{len(trusted)} of class A or B; by class: {by_class}"
+    shown.append((f"{share:.0f} %", "of frames can be trusted", classes))
     known = trusted if len(trusted) else verdict.with_truth
     if known["position_sd"].notna().any():
         metres, degrees = (known[c].quantile(0.95) for c in ("position_sd", "rotation_sd_deg"))
@@ -83,9 +70,8 @@ def facts(scene: SceneInputs, verdict: Verdict) -> list[tuple[str, str, str]]:
     scale, vertical = figures.get("scale_sd"), figures.get("vertical_sd_deg")
     source = str(figures.get("scale_source")).replace("vio", "VIO")
     upright = "vertical unknown" if vertical is None else f"vertical ± {vertical:.2g}°"
-    shown.append(
-        ("unknown" if scale is None else f"± {100 * scale:.2g} %", "metric scale", f"from {source}; {upright}")
-    )
+    known_scale = "unknown" if scale is None else f"± {100 * scale:.2g} %"
+    shown.append((known_scale, "metric scale", f"from {source}; {upright}"))
     if drifts := drift_by_distance(scene):
         d = min(drifts, key=lambda row: abs(row["distance_m"] - 5))
         jumps = f"{len(scene.jumps)} VIO jump{'s' if len(scene.jumps) != 1 else ''}"
@@ -93,9 +79,8 @@ def facts(scene: SceneInputs, verdict: Verdict) -> list[tuple[str, str, str]]:
         shown.append((f"{d['median_percent']:.2g} %", f"VIO drift over {d['distance_m']:g} m", more))
     elif frames["vio_error"].notna().any():
         rms = per * float((frames["vio_error"] ** 2).mean() ** 0.5)
-        shown.append(
-            (f"{rms:.2g} {unit}", "VIO from ground truth, RMS", "no walk is long enough for drift by distance")
-        )
+        more = "no walk is long enough for drift by distance"
+        shown.append((f"{rms:.2g} {unit}", "VIO from ground truth, RMS", more))
     if e := verdict.true_errors:
         more = f"stated ± {100 * e.position_stated:.2g} cm (one axis, scale and vertical included)"
         shown.append((f"{100 * e.position:.2g} cm", "from the simulator's truth, median", more))
@@ -141,7 +126,7 @@ def section(
         checks_plot=data_address("png", scene.checks_plot.read_bytes()) if scene.checks_plot else "",
         pictures=pictures,
         localiser_errors=localiser_errors,
-        grids=grids,
+        tables={name: html_table(grid) for name, grid in grids.items()},
         settings=details.stage_settings(scene),
     )
 
@@ -150,7 +135,6 @@ def render(
     name: str, environment: str, profile: str, sections: list[SceneSection], grids: list[Grid], findings: pd.DataFrame
 ) -> str:
     """The page as HTML; `grids` are the tables over all scenes, `findings` the rows of report.checks."""
-    disagreeing = details.checks(findings, OURS)
     scenes = [section.scene for section in sections]
     return from_template(
         "page.html.j2",
@@ -164,7 +148,7 @@ def render(
         alone={scene.name: reason for scene in scenes if (reason := scene.why_alone())},
         fuses=any(scene.fuses for scene in scenes),
         meaningless={scene.name: why for scene in scenes if (why := scene.why_meaningless())},
-        tables={grid.key: Markup(html_table(grid)) for grid in grids},
+        tables={grid.key: html_table(grid) for grid in grids},
         checks=len(findings),
-        disagreeing=Markup(html_table(disagreeing) if disagreeing else ""),
+        disagreeing=html_table(details.checks(findings, OURS)),
     )

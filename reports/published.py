@@ -18,6 +18,7 @@ _LEVEL_COLUMNS = {
     "low_pct_5m_10deg": "low",
     "frames_pct": "share",
 }
+_KEYS = ("subset", "method")
 _LEVEL_TEXTS = {f"{printed}_text": f"{name}_text" for printed, name in _LEVEL_COLUMNS.items()}
 
 
@@ -34,7 +35,6 @@ class PrintedTables:
     (the frames of its subset) or "all" (all test frames: the paper's raw columns, but for its "only optimised" block).
     """
 
-    source: str
     dataset: pd.DataFrame
     errors: pd.DataFrame
     levels: pd.DataFrame
@@ -42,19 +42,14 @@ class PrintedTables:
 
 def load_published(files: Mapping[str, Path] = PUBLISHED) -> PrintedTables:
     """The paper's Tables I to III, from files by name. UserError where a file is missing or isn't what it should be."""
-    dataset = _read(files, "table1_dataset.csv", ["environment", "scene", "train_images", "test_images", "extent_m"])
-    errors = _read(
-        files,
-        "table2_pose_errors.csv",
-        ["environment", "scene", "subset", "method", "statistic", "translation_m", "rotation_deg"],
-    )
-    levels = _read(files, "table3_accuracy_levels.csv", ["environment", "scene", "subset", "method", *_LEVEL_COLUMNS])
-    return PrintedTables(
-        "published", dataset, _split_method(errors), _split_method(levels.rename(columns=_LEVEL_COLUMNS | _LEVEL_TEXTS))
-    )
+    dataset = _read(files, "table1_dataset.csv", "train_images", "test_images", "extent_m")
+    errors = _read(files, "table2_pose_errors.csv", *_KEYS, "statistic", "translation_m", "rotation_deg")
+    levels = _read(files, "table3_accuracy_levels.csv", *_KEYS, *_LEVEL_COLUMNS)
+    levels = levels.rename(columns=_LEVEL_COLUMNS | _LEVEL_TEXTS)
+    return PrintedTables(dataset, _split_method(errors), _split_method(levels))
 
 
-def _read(files: Mapping[str, Path], name: str, columns: list[str]) -> pd.DataFrame:
+def _read(files: Mapping[str, Path], name: str, *columns: str) -> pd.DataFrame:
     path = files.get(name)
     if path is None:
         raise UserError("a file of published numbers isn't there", where=f"shipped/published/{name}")
@@ -62,8 +57,7 @@ def _read(files: Mapping[str, Path], name: str, columns: list[str]) -> pd.DataFr
         frame, texts = pd.read_csv(path), pd.read_csv(path, dtype=str)
     except (OSError, ValueError) as error:
         raise UserError("a file of published numbers can't be read", where=path, found=error) from None
-    missing = [c for c in columns if c not in frame.columns]
-    if missing:
+    if missing := [c for c in ("environment", "scene", *columns) if c not in frame.columns]:
         raise UserError("a file of published numbers lacks columns", where=path, found=f"no {', '.join(missing)}")
     return frame.assign(**{f"{c}_text": texts[c] for c in frame.select_dtypes("float")})
 

@@ -6,7 +6,7 @@ from urllib.parse import quote
 
 from markupsafe import Markup
 
-from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row, html_table
+from groundwalk.reports.grids import EMPTY, html_table, plain_grid
 from groundwalk.reports.templating import plain_page
 from groundwalk.store.files import written_aside
 from groundwalk.store.runs import RunFiles, runs_in
@@ -14,7 +14,11 @@ from groundwalk.store.settings import STAGES, DataRoot
 
 THUMBNAIL = "thumbnail.jpg"
 """In the report's folder: one of the capture's images."""
-_COLUMNS = ("run", "state", "captures", "frames", "trusted (%)", "sigma (cm)", "scale ± (%)", "best localiser")
+_HEADS = "run | state | captures | frames | trusted (%) | sigma (cm) | scale ± (%) | best localiser"
+_CAPTION = (
+    "Trusted: frames of class A or B; sigma: their median, one axis, in the map's unit where that isn't metric. "
+    "Best localiser: by the median over test frames. The pages have what stands behind each number."
+)
 
 
 def write_index(data: DataRoot) -> None:
@@ -22,7 +26,8 @@ def write_index(data: DataRoot) -> None:
     runs = list(runs_in(data))
     if not runs:
         return
-    page = plain_page("Runs", "all runs", [_pictures(runs), Markup(html_table(_table(runs)))])
+    table = plain_grid("runs", "Runs", _CAPTION, _HEADS, map(_cells, runs), 3)
+    page = plain_page("Runs", "all runs", [_pictures(runs), html_table(table)])
     with contextlib.suppress(OSError), written_aside(data.root / "runs" / "index.html") as path:
         path.write_text(page, encoding="utf-8")
 
@@ -42,16 +47,6 @@ def _pictures(runs: list[RunFiles]) -> Markup:
     return Markup('<div class="sheet">{}</div>').format(out)
 
 
-def _table(runs: list[RunFiles]) -> Grid:
-    rows = tuple(Row(tuple(_cells(run)), OURS) for run in runs)
-    caption = (
-        "Trusted: frames of class A or B; sigma: their median, one axis, in the map's unit where that isn't metric. "
-        "Best localiser: by the median over test frames. The pages have what stands behind each number."
-    )
-    columns = tuple(("", name) for name in _COLUMNS)
-    return Grid("runs", "Runs", caption, columns, (Block("", rows),), labels=3)
-
-
 def _cells(run: RunFiles) -> list[str]:
     verdict = run.verdict
     headline, metric = verdict.get("headline") or {}, verdict.get("length_unit") == "m"
@@ -60,25 +55,20 @@ def _cells(run: RunFiles) -> list[str]:
         value = headline.get(name)
         return EMPTY if value is None else f"{factor * value:.3g}"
 
-    simulated = any(m["simulated"] for m in run.manifests.values())
-    numbers = [
-        str(headline.get("frames", EMPTY)),
-        number("trusted_share", 100),
-        number("position_sd_median", 100 if metric else 1)
-        + ("" if metric or not headline else f" {verdict['length_unit']}"),
-        number("scale_sd", 100),
-    ]
-    return [", ".join(run.name), _state(run), "simulated" if simulated else "real", *numbers, _best(verdict)]
+    sigma = number("position_sd_median", 100 if metric else 1)
+    sigma += "" if metric or not headline else f" {verdict['length_unit']}"
+    numbers = [str(headline.get("frames", EMPTY)), number("trusted_share", 100), sigma, number("scale_sd", 100)]
+    return [", ".join(run.name), _state(run), "simulated" if run.simulated else "real", *numbers, _best(verdict)]
 
 
 def _state(run: RunFiles) -> str:
     """The verdict, and how far the run has come."""
-    done = run.finished
-    missing = [stage for stage in STAGES if stage not in done]
     parts = [str(run.verdict.get("verdict", "no verdict yet"))]
-    parts += [f"stopped at {run.stopped}"] if run.stopped else [f"up to {done[-1]}"] if missing else []
-    parts += [f"outdated: {', '.join(run.outdated)}"] if run.outdated else []
-    return "; ".join(parts)
+    if run.stopped:
+        parts.append(f"stopped at {run.stopped}")
+    elif {*STAGES} - {*run.finished}:
+        parts.append(f"up to {run.finished[-1]}")
+    return "; ".join([*parts, *([f"outdated: {', '.join(run.outdated)}"] if run.outdated else [])])
 
 
 def _best(verdict: dict[str, Any]) -> str:

@@ -1,11 +1,10 @@
 """Stage report: the verdict on a capture, tables beside the paper's, figures, checks: one page of what is finished."""
 
 from base64 import b64decode
-from pathlib import Path
 
 import pandas as pd
 
-from groundwalk.reports import cells, page, style
+from groundwalk.reports import cells, page
 from groundwalk.reports.definition import ReportSettings
 from groundwalk.reports.figures import scene_figures
 from groundwalk.reports.grids import OURS, Grid, html_table, latex, markdown
@@ -27,10 +26,16 @@ def run(r: StageRun[ReportSettings]) -> None:
     all_cells, findings = schema("report", "cells").arrow().empty_table().to_pandas(), as_table([], OURS)
     if all("fuse" in scene.stages for scene in scenes):
         with r.step("tables"):
-            all_cells = _cells(r, scenes)
+            parts = [cells.our_cells(scenes)]
+            if r.settings.published:
+                parts.append(cells.published_cells(load_published(r.data.files("published")), scenes))
+            all_cells = pd.concat([part for part in parts if len(part)], ignore_index=True)
             findings = as_table([finding for scene in scenes for finding in run_findings(scene)], OURS)
             grids = Tables(all_cells, scenes).all()
-            _write_tables(r.work / "tables", grids)
+            (r.work / "tables").mkdir(exist_ok=True)
+            for grid in grids:
+                for suffix, write in (("md", markdown), ("tex", latex), ("html", html_table)):
+                    (r.work / "tables" / f"{grid.key}.{suffix}").write_text(write(grid), encoding="utf-8")
     r.write("cells", all_cells)
     r.write("checks", findings)
     with r.step("sections"):
@@ -48,30 +53,10 @@ def run(r: StageRun[ReportSettings]) -> None:
     _say(r, sections)
 
 
-def _cells(r: StageRun[ReportSettings], scenes: list[SceneInputs]) -> pd.DataFrame:
-    """Every number of the tables."""
-    parts = [cells.our_cells(scenes)]
-    if r.settings.published:
-        parts.append(cells.published_cells(load_published(r.data.files("published")), scenes))
-    return pd.concat([part for part in parts if len(part)], ignore_index=True)
-
-
-def _write_tables(folder: Path, grids: list[Grid]) -> None:
-    folder.mkdir(exist_ok=True)
-    for grid in grids:
-        for suffix, write in (("md", markdown), ("tex", latex), ("html", html_table)):
-            (folder / f"{grid.key}.{suffix}").write_text(write(grid), encoding="utf-8")
-
-
 def _section(r: StageRun[ReportSettings], scene: SceneInputs, all_cells: pd.DataFrame) -> page.SceneSection:
-    folder = r.work / "figures"
-    folder.mkdir(exist_ok=True)
-    pictures = {
-        part: [page.Picture(style.save(f.figure, folder, f"{scene.name}-{f.name}"), f.caption) for f in figures]
-        for part, figures in scene_figures(scene).items()
-    }
-    localiser_errors = cells.localiser_errors(scene, all_cells)
-    return page.section(scene, judge(scene), lambda image: r.image_path(image, scene.name), pictures, localiser_errors)
+    (r.work / "figures").mkdir(exist_ok=True)
+    pictures, errors = scene_figures(scene, r.work / "figures"), list(cells.localiser_errors(scene, all_cells))
+    return page.section(scene, judge(scene), lambda image: r.image_path(image, scene.name), pictures, errors)
 
 
 def _say(r: StageRun[ReportSettings], sections: list[page.SceneSection]) -> None:
@@ -80,8 +65,8 @@ def _say(r: StageRun[ReportSettings], sections: list[page.SceneSection]) -> None
         r.say(f"{scene.name}: {verdict.state}: {verdict.why}")
         if scene.simulated:
             r.say(f"{scene.name} is simulated, and so are its numbers")
-        for reason in filter(None, [scale_warning(scene.unit)]):
-            r.say(f"warning: {scene.name}: {reason}")
+        if warning := scale_warning(scene.unit):
+            r.say(f"warning: {scene.name}: {warning}")
         for reason in scene.why_meaningless():
             r.say(f"{scene.name}: the regressors' accuracy means nothing: {reason}")
         if why := scene.why_alone():

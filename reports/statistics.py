@@ -53,7 +53,6 @@ def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dic
         rows.append(keys | {"total": total, "share": share, "coverage": coverage} | asdict(result))
 
     paper = errors[errors["method"] == PAPER_METHOD]
-    paper = paper[paper["options"] == paper["options"].iloc[0]] if len(paper) else paper
     raw_all = _scored(errors.drop_duplicates("frame_id"), "raw_")
     if paper.empty:
         add(RAW_METHOD, "", list(SUBSETS)[-1], "all", raw_all)
@@ -63,14 +62,13 @@ def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dic
         add(RAW_METHOD, "", subset, "subset", _scored(part, "raw_"))
         add(PAPER_METHOD, str(paper["options"].iloc[0]), subset, "subset", _scored(part, ""))
 
-    runs = len(errors[["method", "options"]].drop_duplicates())
-    errors = errors[errors.groupby("frame_id")["frame_id"].transform("size") == runs]
+    errors = errors[errors.groupby("frame_id")["frame_id"].transform("size") == errors["method"].nunique()]
     unanswered = errors["live_position_m"].isna() | errors["live_rotation_deg"].isna()
     missed = set(errors.loc[unanswered & ~errors["method"].isin(offline), "frame_id"])
-    for key, part in errors.groupby(["method", "options"], sort=False):
-        method, options = map(str, key)
-        add(method, options, "all", "all", _scored(part, "live_"))
-        add(method, options, "common", "subset", _scored(part[~part["frame_id"].isin(missed)], "live_"))
+    for method, part in errors.groupby("method", sort=False):
+        options = str(part["options"].iloc[0])
+        add(str(method), options, "all", "all", _scored(part, "live_"))
+        add(str(method), options, "common", "subset", _scored(part[~part["frame_id"].isin(missed)], "live_"))
     return rows
 
 

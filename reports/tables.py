@@ -1,7 +1,6 @@
 """Tables I to III in the paper's layout, the published numbers in lines of their own, and Table IV, which the paper
 leaves out: every method over all test frames."""
 
-import json
 from collections.abc import Callable
 
 import pandas as pd
@@ -42,7 +41,6 @@ class Tables:
         self.scenes = {scene.name: scene for scene in scenes}
         self.models = list(dict.fromkeys(m for scene in scenes for m in scene.models))
         self.labels = {m: scene.label(m) for scene in scenes for m in scene.models}
-        # Table IV tells methods apart by their options too; the others by their column alone.
         self.methods_cells = cells[cells["table"] == TABLE_IV]
         printed = cells[cells["table"] != TABLE_IV]
         # Published numbers are in metres whatever ours are in.
@@ -60,13 +58,8 @@ class Tables:
     def dataset(self) -> Grid:
         """Table I: frames, extent, storage and time."""
         models = list(dict.fromkeys([*PUBLISHED_MODELS.values(), *self.models]))
-        columns = [
-            ("", "scene"),
-            ("", "numbers"),
-            ("images", "train"),
-            ("images", "test"),
-            ("", f"extent ({self.unit})"),
-        ]
+        columns = [("", "scene"), ("", "numbers"), ("images", "train"), ("images", "test")]
+        columns.append(("", f"extent ({self.unit})"))
         heads = [self.labels.get(m, m) for m in models]
         columns += [("storage (MB)", m) for m in heads] + [("time an image (ms)", m) for m in heads]
         names = ["train images", "test images", "extent"]
@@ -90,9 +83,8 @@ class Tables:
         columns, names = [("", "scene"), ("", "numbers")], []
         for statistic in ("mean", "median"):
             for model in self.models:
-                columns += [
-                    (f"{statistic} ({self.unit}/°)", column_name(self.labels[model], *way)) for way in self.ways
-                ]
+                group = f"{statistic} ({self.unit}/°)"
+                columns += [(group, column_name(self.labels[model], *way)) for way in self.ways]
                 names += [column_name(model, *way, statistic) for way in self.ways]
 
         def cell(look: Look, name: str) -> str:
@@ -105,10 +97,8 @@ class Tables:
 
     def levels(self) -> Grid:
         """Table III: shares of frames within the accuracy levels."""
-        columns = [("", "scene"), ("", "numbers")]
-        columns += [
-            ("high/medium/low (share)", column_name(self.labels[m], *way)) for m in self.models for way in self.ways
-        ]
+        columns, group = [("", "scene"), ("", "numbers")], "high/medium/low (share)"
+        columns += [(group, column_name(self.labels[m], *way)) for m in self.models for way in self.ways]
         names = [column_name(m, *way) for m in self.models for way in self.ways]
 
         def cell(look: Look, name: str) -> str:
@@ -141,11 +131,8 @@ class Tables:
             for model, cells in of_scene.groupby("model", sort=False):
                 causal: list[Row] = []
                 offline: list[Row] = []
-                for key, way in cells.groupby(["method", "options"], sort=False):
-                    method, options = map(str, key)
-                    label = column_name(scene.label(str(model)), method, "all", labels=scene.method_labels)
-                    if len(cells.loc[cells["method"] == method, "options"].unique()) > 1:
-                        label += f" {options_text(options)}"
+                for method, way in cells.groupby("method", sort=False):
+                    label = column_name(scene.label(str(model)), str(method), "all", labels=scene.method_labels)
                     rows = offline if method in scene.offline else causal
                     rows.append(Row((scene.name, label, *self._method_numbers(way))[: len(columns)], OURS))
                 blocks.append(Block(f"{scene.name}, {model}", tuple(causal)))
@@ -175,24 +162,16 @@ class Tables:
 
     def _uncertain_notes(self) -> list[str]:
         """How many frames the levels leave out, of the scenes that have such frames."""
-        notes = []
-        for scene in self.scenes.values():
-            if scene.uncertain_frames:
-                note = f"{scene.name}: {scene.uncertain_frames} of the {scene.scored_frames} test frames with ground "
-                note += (
-                    "truth are of quality class C, too uncertain for the accuracy levels, which leave them out; means "
-                )
-                note += "and medians count them."
-                if scene.uncertain_frames == scene.scored_frames:
-                    note += " So no level can be scored."
-                notes.append(note)
-        return notes
+        return [
+            f"{scene.name}: {scene.uncertain_frames} of the {scene.scored_frames} test frames with ground truth are "
+            "of quality class C, too uncertain for the accuracy levels, which leave them out; means and medians count "
+            "them." + (" So no level can be scored." if scene.uncertain_frames == scene.scored_frames else "")
+            for scene in self.scenes.values()
+            if scene.uncertain_frames
+        ]
 
     def _method_numbers(self, way: pd.DataFrame) -> list[str]:
-        text = {
-            (c.row, c.statistic, c.quantity): str(c.text)
-            for c in way[["row", "statistic", "quantity", "text"]].itertuples(index=False)
-        }
+        text = way.set_index(["row", "statistic", "quantity"])["text"].to_dict()
 
         def pair(row: str, statistic: str) -> str:
             errors = [text[row, statistic, quantity] for quantity in ("translation", "rotation")]
@@ -209,8 +188,6 @@ class Tables:
             pair("common", "median"),
         ]
 
-    # --- parts of every table ---
-
     def _blocks(
         self, table: str, row: str, title: str, names: list[str], cell: Callable[[Look, str], str]
     ) -> list[Block]:
@@ -225,16 +202,14 @@ class Tables:
 
                     numbers = [cell(look, name) for name in names]
                     if set(numbers) != {EMPTY} or (source == OURS and scene != AVERAGE):
-                        label = self._source_label(source, scene, environment)
+                        label = "published" if source == PUBLISHED else self._label(scene, environment)
                         rows.append(Row((scene, label, *numbers), source, scene == AVERAGE))
             if rows:
                 place = "" if environment == "unknown" else environment
                 blocks.append(Block(", ".join(filter(None, [title, place])).capitalize(), tuple(rows)))
         return blocks
 
-    def _source_label(self, source: str, scene: str, environment: str) -> str:
-        if source == PUBLISHED:
-            return "published"
+    def _label(self, scene: str, environment: str) -> str:
         members = [s for s in self.scenes.values() if scene in (s.name, AVERAGE) and s.environment == environment]
         kind = "simulated" if any(s.simulated for s in members) else "ours"
         return f"{kind}, {members[0].profile}"
@@ -281,11 +256,9 @@ class Tables:
             said = scene.predictions[scene.predictions["split"] == "test"]
             said = said[said["model"].isin(scene.localisers["model"])]
             for model, rows in said.groupby("model", sort=False):
-                refused = int(rows["refusal"].notna().sum())
-                if refused:
-                    label = scene.label(str(model))
-                    note = f"{scene.name}: {label} refused {refused} of {len(rows)} test frames: failures in medians "
-                    notes.append(note + "and levels; its means are over the others.")
+                if refused := int(rows["refusal"].notna().sum()):
+                    note = f"{scene.name}: {scene.label(str(model))} refused {refused} of {len(rows)} test frames: "
+                    notes.append(note + "failures in medians and levels; its means are over the others.")
         return notes
 
     def _card_notes(self) -> list[str]:
@@ -301,24 +274,16 @@ def card_text(card: pd.Series) -> str:
     """What a reader must know of a model: where its weights come from, its input, and what was made smaller."""
     if not card["file"]:
         return f"{card['model']}: {card['weights']}"
+    made_smaller = card["reduced"]
+    beside_the_paper = f"reduced from the paper: {made_smaller}" if made_smaller else "as in the paper"
+    if pd.isna(made_smaller):
+        beside_the_paper = "not in the paper"
     parts = [
         f"backbone weights: {card['weights']}",
         f"input {card['crop_px']:.0f} px",
         *([str(card["layers"])] if card["layers"] else []),
         f"{card['epochs']:.0f} epochs on {card['train_frames']:.0f} frames, seed {card['seed']}",
         *([f"trained on {', '.join(card['scenes'])}"] if len(card["scenes"]) > 1 else []),
-        _beside_the_paper(card["reduced"]),
+        beside_the_paper,
     ]
     return f"{card['model']}: {'; '.join(parts)}"
-
-
-def _beside_the_paper(reduced: str | None) -> str:
-    if reduced is None or pd.isna(reduced):
-        return "not in the paper"
-    return f"reduced from the paper: {reduced}" if reduced else "as in the paper"
-
-
-def options_text(options: str) -> str:
-    """A method's options, JSON, as `key=value`."""
-    values = json.loads(options) if options else {}
-    return ", ".join(f"{key}={value}" for key, value in values.items())

@@ -15,10 +15,9 @@ def write_unreadable(folder: Path, name: str, stopped: dict[str, str]) -> None:
     """Write page.html and verdict.json into a folder; `stopped` has `what`, `where`, `expected`, `found` and `do` of
     the error."""
     problem, what = problem_of(stopped), stopped["what"]
-    grid = problems(name, [problem])
     lead = Markup('<p class="verdict refused"><strong>Unreadable.</strong> {}.</p>').format(what)
-    table = Markup(html_table(grid) if grid else "")
+    page = plain_page(name, "capture", [lead, html_table(problems(name, [problem]))])
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "page.html").write_text(plain_page(name, "capture", [lead, table]), encoding="utf-8")
+    (folder / "page.html").write_text(page, encoding="utf-8")
     verdict = {"scene": name, "verdict": State.UNREADABLE.value, "why": what, "problems": [vars(problem)], "frames": []}
     write_json(folder / "verdict.json", verdict)

@@ -18,6 +18,7 @@ from groundwalk.store.choices import CheckName, DriftDefinition, MapUnit, Qualit
 from groundwalk.store.tables import have_times, poses_of
 from groundwalk.store.text import grouped_reasons
 
+_PARTS = (slice(3), slice(3, 6))  # of a covariance
 MIN_TRUSTED = 0.5
 """Share of the frames of class A or B below which a capture isn't accepted, though some frames have ground truth."""
 _OF_THE_MAP = (
@@ -121,7 +122,12 @@ def _state(scene: SceneInputs, frames: pd.DataFrame) -> tuple[State, str]:
     if "align" not in scene.stages:
         return State.OPEN, "ground truth hasn't been made yet: run the stage align"
     if scene.is_images_alone:
-        return State.UNDECIDED, _of_images_alone(frames)
+        # How exact such a map is nothing but the images says; where places look alike they are wrong by metres.
+        placed = (frames["quality"] != QualityClass.NONE).sum()
+        return State.UNDECIDED, (
+            f"images alone, without scale or vertical: {placed} of {len(frames)} are in the map. Nothing but the "
+            "images checks it, so no sigma is said: look-alike places may be one in it"
+        )
     return state_of(scene.align_checks, frames["quality"])
 
 
@@ -144,16 +150,6 @@ def _sentence(what: str, more: str | None) -> str:
     return f"{what} ({'; '.join(filter(None, lines))})" if more else what
 
 
-def _of_images_alone(frames: pd.DataFrame) -> str:
-    """What a map of images without poses is; how exact it is nothing but the images says, and where places look alike
-    they are wrong by metres and sure of it."""
-    placed = (frames["quality"] != QualityClass.NONE).sum()
-    return (
-        f"images alone, without scale or vertical: {placed} of {len(frames)} are in the map. Nothing but the images "
-        "checks it, so no sigma is said: look-alike places may be one in it"
-    )
-
-
 def _frames(scene: SceneInputs) -> pd.DataFrame:
     frames = scene.frames.sort_values(["session_id", "t_ns"], kind="stable").reset_index(drop=True)
     truth = scene.ground_truth.set_index("frame_id").reindex(frames["frame_id"]).reset_index()
@@ -169,14 +165,15 @@ def _frames(scene: SceneInputs) -> pd.DataFrame:
         vio_error=residuals["position_m"].to_numpy(float),
         vio_error_deg=residuals["rotation_deg"].to_numpy(float),
         true_error=np.nan,
+        travelled=0.0,
         **dict(zip("xyz", map_xyz.T, strict=True)),
         **dict(zip(("vio_x", "vio_y", "vio_z"), vio_xyz.T, strict=True)),
     )
     raw_vio = poses_of(frames, "vio_cam")[:, :3, 3]
     walked = np.where(np.isnan(raw_vio), map_xyz, raw_vio)
-    table["travelled"] = np.concatenate(
-        [[], *(_along(walked[rows]) for rows in frames.groupby("session_id").indices.values())]
-    )
+    for rows in frames.groupby("session_id").indices.values():
+        steps = np.linalg.norm(np.diff(walked[rows], axis=0), axis=1)  # nothing from or to an unknown position
+        table.loc[rows, "travelled"] = np.cumsum(np.r_[0.0, np.nan_to_num(steps)])
     if scene.is_images_alone:
         table[["position_sd", "rotation_sd_deg"]] = np.nan
     if scene.true_T_cam is not None:
@@ -185,28 +182,20 @@ def _frames(scene: SceneInputs) -> pd.DataFrame:
     return table
 
 
-def _along(xyz_N3: Array) -> Array:
-    """Path length (N,) since the first position; a step from or to an unknown one counts nothing."""
-    return np.cumsum(np.r_[0.0, np.nan_to_num(np.linalg.norm(np.diff(xyz_N3, axis=0), axis=1))])
-
-
 def _vio_in_map(scene: SceneInputs, frames: pd.DataFrame) -> Array:
     """VIO's positions (N, 3), each part of a session fitted rigidly to the map; NaN where there is no fit."""
     vio_T_cam = poses_of(frames, "vio_cam")
     map_T_vio = np.full((len(frames), 4, 4), np.nan)
     fits = poses_of(scene.align_sessions, "map_vio")
     for fit, (_, part) in zip(fits, scene.align_sessions.iterrows(), strict=True):
-        inside = (frames["session_id"] == part["session_id"]) & frames["t_ns"].between(
-            part["t_start_ns"], part["t_end_ns"]
-        )
+        inside = frames["t_ns"].between(part["t_start_ns"], part["t_end_ns"])
+        inside &= frames["session_id"] == part["session_id"]
         map_T_vio[inside.to_numpy() & np.isnan(map_T_vio[:, 0, 0])] = fit
     return np.asarray((map_T_vio @ vio_T_cam)[:, :3, 3])
 
 
 def _problems(scene: SceneInputs, frames: pd.DataFrame) -> list[Problem]:
-    problems = []
-    if scene.stopped:
-        problems.append(problem_of(scene.stopped))
+    problems = [problem_of(scene.stopped)] if scene.stopped else []
     checks = scene.align_checks[scene.align_checks["status"] != "passed"]
     for key, rows in checks.groupby(["status", "check", "reason", "advice"], sort=False):
         status, check, reason, advice = map(str, key)
@@ -252,9 +241,7 @@ def _true_errors(scene: SceneInputs) -> TrueErrors | None:
     true_S_map = fit_sim3(true_T_cam[:, :3, 3], map_T_cam[:, :3, 3])
     # Both in the map's axes, in which the covariances are.
     within = within_bounds(map_T_cam, np.linalg.inv(true_T_map) @ true_T_cam, covariance)
-    position_sd, rotation_sd = (
-        np.sqrt(np.linalg.eigvalsh(covariance[:, p, p])[:, -1]) for p in (slice(3, 6), slice(3))
-    )
+    rotation_sd, position_sd = (np.sqrt(np.linalg.eigvalsh(covariance[:, p, p])[:, -1]) for p in _PARTS)
     up = true_S_map.rotation[:, 1]
     return TrueErrors(
         position=float(np.median(metres[stated])),
@@ -270,9 +257,8 @@ def _true_errors(scene: SceneInputs) -> TrueErrors | None:
 
 def drift_by_distance(scene: SceneInputs) -> list[dict[str, float]]:
     """VIO's relative position error over travelled distances, all sessions together: metres, percent, samples."""
-    rows = scene.drift[
-        (scene.drift["session_id"] == "all") & (scene.drift["definition"] == DriftDefinition.DISTANCE_POSITION)
-    ]
+    is_by_distance = scene.drift["definition"] == DriftDefinition.DISTANCE_POSITION
+    rows = scene.drift[is_by_distance & (scene.drift["session_id"] == "all")]
     names = {"interval": "distance_m", "median": "median_percent", "p95": "p95_percent", "samples": "samples"}
     return rows.sort_values("interval")[list(names)].rename(columns=names).to_dict("records")  # type: ignore[return-value]
 

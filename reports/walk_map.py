@@ -26,6 +26,7 @@ _WIDTH = 1000.0
 _MIN_HEIGHT, _MAX_HEIGHT = 240.0, 760.0
 _MARGIN = 45.0
 _THUMBNAIL_PX = 176
+_PLACES = ("xyz", ("vio_x", "vio_y", "vio_z"))
 MAX_THUMBNAILS = 800
 """Frames whose image is in the page, spread evenly over the capture: some 4 MB."""
 
@@ -47,7 +48,7 @@ class Plan:
 
 def plan_of(frames: pd.DataFrame) -> Plan | None:
     """The plan on which all of a verdict's `frames` and VIO's path find room; None where no frame has a place."""
-    truth, vio = (frames[list(columns)].to_numpy(float) for columns in ("xyz", ["vio_x", "vio_y", "vio_z"]))
+    truth, vio = (frames[list(xyz)].to_numpy(float) for xyz in _PLACES)
     level = _long_side_level(_from_above(truth))
     known = _from_above(np.concatenate([truth, vio])) @ level
     known = known[np.isfinite(known).all(axis=1)]
@@ -73,12 +74,6 @@ def _long_side_level(xy_N2: Array) -> Array:
     return np.array([[x, y], [y, -x]])
 
 
-def _round_length(length: float) -> float:
-    """The nearest of 1, 2, 5 times a power of ten that isn't longer."""
-    power = 10.0 ** np.floor(np.log10(length))
-    return float(max(m * power for m in (1, 2, 5) if m * power <= length))
-
-
 def draw(scene: SceneInputs, verdict: Verdict) -> str:
     """The map as SVG: VIO's path, the ground truth's, and a mark a frame, whose class is its quality; frames without
     ground truth stand where VIO has them. Empty where no frame has a place."""
@@ -86,7 +81,7 @@ def draw(scene: SceneInputs, verdict: Verdict) -> str:
     plan = plan_of(frames)
     if plan is None:
         return ""
-    truth, vio = (plan.drawn(frames[list(xyz)].to_numpy(float)) for xyz in ("xyz", ["vio_x", "vio_y", "vio_z"]))
+    truth, vio = (plan.drawn(frames[list(xyz)].to_numpy(float)) for xyz in _PLACES)
     (width, height), radius = plan.size, float(np.clip(130 / math.sqrt(len(frames)), 4.5, 11))
     label = f"{scene.name} from above: {len(frames)} frames"
     parts = [f'<svg class="walk" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(label)}">']
@@ -96,19 +91,18 @@ def draw(scene: SceneInputs, verdict: Verdict) -> str:
     parts.append('<path class="answers"/>')
     for row, (x, y) in enumerate(np.where(np.isnan(truth), vio, truth)):
         if math.isfinite(x):
-            title = escape(f"{frames['frame_id'][row]}: {_meaning(frames, row)}")
-            mark = f'class="q-{frames["quality"][row]}" data-row="{row}" cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}"'
+            frame_id, reason, quality = (frames[name][row] for name in ("frame_id", "reason", "quality"))
+            meaning = f"no ground truth: {reason}" if quality == QualityClass.NONE else f"class {quality}"
+            title = escape(f"{frame_id}: {meaning}")
+            mark = f'class="q-{quality}" data-row="{row}" cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}"'
             parts.append(f"<circle {mark}><title>{title}</title></circle>")
-    length = _round_length((width - 2 * _MARGIN) / plan.scale / 4)
+    most = (width - 2 * _MARGIN) / plan.scale / 4
+    power = 10.0 ** np.floor(np.log10(most))
+    length = float(max(m * power for m in (1, 2, 5) if m * power <= most))  # round, of the scale bar
     right, bottom = width - 12, height - 12
     parts.append(f'<path class="bar" d="M{right - plan.scale * length:.1f} {bottom:.1f}H{right:.1f}"/>')
     parts.append(f'<text x="{right:.1f}" y="{bottom - 8:.1f}">{length:g} {scene.unit.symbol}</text></svg>')
     return "".join(parts)
-
-
-def _meaning(frames: pd.DataFrame, row: int) -> str:
-    quality = frames["quality"][row]
-    return f"no ground truth: {frames['reason'][row]}" if quality == QualityClass.NONE else f"class {quality}"
 
 
 def _lines(xy_N2: Array) -> list[str]:
@@ -154,8 +148,8 @@ def frame_data(scene: SceneInputs, verdict: Verdict, image_path: Callable[[str],
         add(f"{label} alone ({unit})", model, scene.raw_errors(model), "raw_position_m", predicted, "map_cam")
         if best and best not in scene.raw_methods:
             name = f"{label}{scene.method_labels[best]} in time ({unit})"
-            fused, poses = scene.frame_errors(model, best), scene.fused_poses(model, best)
-            add(name, model, fused, "live_position_m", poses, "live_map_cam")
+            poses = scene.poses[(scene.poses["model"] == model) & (scene.poses["method"] == best)]
+            add(name, model, scene.frame_errors(model, best), "live_position_m", poses, "live_map_cam")
         if model in set(scene.localisers["model"]):
             said = predicted.set_index("frame_id").reindex(frames["frame_id"])
             figures[f"{label}, inliers"] = said["inliers"]

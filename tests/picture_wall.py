@@ -4,6 +4,7 @@ import fcntl
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ from groundwalk.geometry.poses import make_pose, yaw_rotation
 from groundwalk.store.files import sha256_of, write_json
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import CAMERA_COLUMNS, pose_frame, write_table
-from tests.known import cells
+from tests.known import filled
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 50.0
 SMALL = ["resize=40", "crop=32", "device=cpu", "threads=1", 'models=["PN"]', "regressors.PN.epochs=1"]
@@ -108,30 +109,15 @@ def write_scene(data: Path, name: str, train: int, test: int, seed: int) -> Path
             "split": np.where(sessions == "walk", "train", "test"),
         }
     )
+    camera = {"width": WIDTH, "height": HEIGHT, "fx": FOCAL, "fy": FOCAL, "cx": WIDTH / 2, "cy": HEIGHT / 2}
     unknown = pose_frame("vio_cam", np.full((len(keys), 4, 4), np.nan))
-    frames = pd.concat([keys, unknown], axis=1).assign(
-        clock="boot", image=images, image_sha256=hashes, width=WIDTH, height=HEIGHT, fx=FOCAL, fy=FOCAL
-    )
-    frames = frames.assign(cx=WIDTH / 2, cy=HEIGHT / 2, distortion=cells([[]] * len(keys)), first_row="top")
-    frames = frames.assign(stated_readout_s=np.nan, focal_sd=0.0, tracking="normal")
-    frames = frames.assign(gravity_x=0.0, gravity_y=1.0, gravity_z=0.0, sharpness=1.0, exposure_s=0.01)
-    frames = frames.assign(blurred_faces=None, blurred_plates=None, support=False)
-    frames = frames.assign(depth=None, depth_confidence=None, depth_sha256=None)
+    frames = filled("import", "frames", len(keys), **keys, **camera, **unknown, image=images, image_sha256=hashes)
+    frames = frames.assign(gravity_x=0.0, gravity_y=1.0, gravity_z=0.0, sharpness=1.0)
     truth_T = map_T_cam.copy()
     truth_T[-1] = np.nan  # a frame that SfM didn't register
-    truth = pd.concat([keys, pose_frame("map_cam", truth_T)], axis=1).assign(
-        covariance=None,
-        position_sd_m=0.01,
-        rotation_sd_deg=0.1,
-        quality="A",
-        reason="",
-        gt_uses_vio=False,
-        scale_source="vio",
-        vertical_source="gravity",
-        component=0,
-        camera_origin="stated",
-        **{name: frames[name] for name in CAMERA_COLUMNS},
-    )
+    known: dict[str, Any] = {"position_sd_m": 0.01, "rotation_sd_deg": 0.1, "component": 0}
+    known |= {"scale_source": "vio", "vertical_source": "gravity", **frames[CAMERA_COLUMNS]}
+    truth = filled("align", "ground_truth", len(keys), **keys, **pose_frame("map_cam", truth_T), **known)
     # Training that looked at a support frame would fail: its image can't be decoded.
     (captures / "damaged.png").write_text("not an image")
     damaged = {"image": "damaged.png", "image_sha256": sha256_of(captures / "damaged.png")}

@@ -21,7 +21,7 @@ from groundwalk.store import DataRoot
 from groundwalk.store.files import write_json
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import pose_frame, poses_of, write_table
-from tests.known import cells
+from tests.known import cells, filled
 
 
 @dataclass(frozen=True)
@@ -223,44 +223,19 @@ def write_artefact(data: DataRoot, stage: str, tables: dict[str, pd.DataFrame]) 
     write_json(folder / "manifest.json", {"outputs": {}, "simulated": True})
 
 
-def filled(table: pd.DataFrame, stage: str, name: str, **values: object) -> pd.DataFrame:
-    """The table with the columns that the schema asks for; those that this stage doesn't read get a plain value."""
-    plain = {"float64": 0.5, "int64": 1, "string": "", "bool": False, "list<float64>": [], "list<string>": []}
-    missing = {c.name: c for c in schema(stage, name).columns if c.name not in table}
-    extra: dict[str, Any] = {
-        k: values.get(k, next(iter(c.choices)) if c.choices else plain[c.dtype]) for k, c in missing.items()
-    }
-    columns: dict[str, Any] = {k: [v] * len(table) if isinstance(v, list) else v for k, v in extra.items()}
-    return table.assign(**columns)
-
-
 def make_place(walks: Walks, root: DataRoot) -> None:
     """Artefacts of two synthetic walks, and their true poses."""
     scene = walks.make(sessions=2, frames=20, sfm_m=0.005, sfm_deg=0.02, drift_m=0.005)
-    frames = filled(scene.frames, "import", "frames", width=1920, height=1440, cx=960.0, cy=720.0, fy=1400.0)
+    frames = filled("import", "frames", len(scene.frames), **scene.frames, cx=960.0, cy=720.0, fy=1400.0)
     names = pd.DataFrame({"session_id": list(scene.recordings), "recording": list(scene.recordings)})
     jumps = scene.jumps.assign(dt_s=0.1, splits=False).astype({"t_ns": "int64", "splits": bool})
-    write_artefact(
-        root,
-        "import",
-        {
-            "frames": frames,
-            "sessions": filled(names, "import", "sessions"),
-            "jumps": jumps,
-            "reference": pd.DataFrame(columns=schema("import", "reference").column_names),
-        },
-    )
-    points = pd.DataFrame(np.random.default_rng(0).normal(size=(50, 3)), columns=["x", "y", "z"])
-    write_artefact(
-        root,
-        "sfm",
-        {
-            "images": filled(scene.images, "sfm", "images"),
-            "intrinsics": scene.intrinsics,
-            "pairs": scene.pairs,
-            "points": filled(points, "sfm", "points", r=200, model_id="incremental/0"),
-        },
-    )
+    sessions, reference = filled("import", "sessions", len(names), **names), filled("import", "reference", 0)
+    write_artefact(root, "import", {"frames": frames, "sessions": sessions, "jumps": jumps, "reference": reference})
+    xyz = dict(zip("xyz", np.random.default_rng(0).normal(size=(50, 3)).T, strict=True))
+    points = filled("sfm", "points", 50, **xyz, r=200, model_id="incremental/0")
+    images = filled("sfm", "images", len(scene.images), **scene.images)
+    tables = {"images": images, "intrinsics": scene.intrinsics, "pairs": scene.pairs, "points": points}
+    write_artefact(root, "sfm", tables)
     truth = pd.concat([scene.frames[["session_id", "t_ns"]], pose_frame("map_cam", scene.true_T_cam)], axis=1)
     root.captures("Place").mkdir(parents=True)
     write_table(root.captures("Place") / "true_poses.parquet", truth, schema("simulate", "true_poses"))

@@ -12,9 +12,9 @@ from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array
 from groundwalk.store import DataRoot, Settings, Stage, StageRun, execute
 from groundwalk.store.files import sha256_of
-from groundwalk.store.schemas import schema, stage_tables
-from groundwalk.store.tables import pose_frame, pose_prefixes
-from tests.known import cells
+from groundwalk.store.schemas import stage_tables
+from groundwalk.store.tables import pose_frame
+from tests.known import cells, filled
 
 FRAMES = 12
 LOST = 5  # the row that has no ground truth
@@ -26,17 +26,6 @@ NEEDS = {
     "train": ("import", "align"),
     "fuse": ("import", "align", "localise", "train"),
 }
-DEFAULTS = {"float64": 0.0, "int64": 0, "bool": False, "string": "", "list<float64>": [], "list<string>": []}
-
-
-def filled(stage: str, table: str, count: int, **columns: Any) -> pd.DataFrame:
-    """A table of its schema: null where that may be, else the first choice, zero or nothing, but for columns given."""
-    of = schema(stage, table)
-    values = {
-        c.name: [None if c.nullable else next(iter(c.choices or ()), DEFAULTS[c.dtype])] * count for c in of.columns
-    }
-    values |= {f"{prefix}_qw": [1.0] * count for prefix in pose_prefixes(of)}
-    return pd.DataFrame(values, dtype=object).assign(**columns)
 
 
 class AnySettings(Settings):

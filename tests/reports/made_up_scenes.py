@@ -1,8 +1,10 @@
 """A run folder as the stages before the report leave it, made up through the schemas."""
 
 import json
+import re
 from collections.abc import Callable
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -14,12 +16,12 @@ from scipy.spatial.transform import Rotation
 from groundwalk.capture_import.splits import leak_seconds
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg
-from groundwalk.store.choices import NotRegistered
 from groundwalk.store.files import hash_files, write_json
+from groundwalk.store.manifests import load_manifest, output_hashes
 from groundwalk.store.schemas import schema, stage_tables
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.tables import pose_frame, read_table, write_table
-from tests.known import cells
+from tests.known import cells, filled
 
 SECOND = 1_000_000_000
 MODELS = ("PN", "MS-T")
@@ -88,7 +90,6 @@ class MadeUpScene:
         if ran == {"raw"}:
             for name in ("poses", "errors", "sessions", "methods", "intervals"):
                 fuse[name] = fuse[name][fuse[name]["method"] == "raw"]
-            del fuse["sweep"]
         residuals = tables["align"]["residuals"]
         tables["align"]["residuals"] = residuals[~residuals["session_id"].isin(self.without_vio)]
         if alone.all():
@@ -96,59 +97,56 @@ class MadeUpScene:
         return tables
 
     def _with_vio(self) -> dict[str, dict[str, pd.DataFrame]]:
-        frames = self.frames
-        imported = pd.concat([frames, pose_frame("vio_cam", self.map_T_cam)], axis=1).assign(
-            clock="boot", image=frames["frame_id"] + ".jpg", image_sha256="", width=64, height=48, fx=50.0, fy=50.0,
-            cx=32.0, cy=24.0, distortion=cells([] for _ in range(len(frames))),
-            gravity_x=1.0, gravity_y=0.0, gravity_z=0.0, tracking="normal", first_row="top",
-            sharpness=0.5,
-            stated_readout_s=None, focal_sd=0.0, exposure_s=0.01, blurred_faces=None, blurred_plates=None,
-            support=False, depth=None, depth_confidence=None, depth_sha256=None,
-        )  # fmt: skip
+        frames, count = self.frames, len(self.frames)
+        camera = {"fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 24.0}
+        gravity = {"gravity_x": 1.0, "gravity_y": 0.0, "gravity_z": 0.0}
+        vio, images = pose_frame("vio_cam", self.map_T_cam), frames["frame_id"] + ".jpg"
+        imported = filled("import", "frames", count, **frames, **vio, **camera, **gravity, image=images)
+        imported = imported.assign(width=64, height=48)
         # A support frame, which SfM didn't register: no figure of the report may count it.
         support = imported.iloc[[0]].assign(frame_id="walk_1/000900", t_ns=SECOND // 2, support=True)
         imported = pd.concat([imported, support], ignore_index=True)
-        truth = pd.concat([frames, pose_frame("map_cam", self.map_T_cam)], axis=1).assign(
-            covariance=None,
+        truth = filled("align", "ground_truth", count, **frames, **camera, **pose_frame("map_cam", self.map_T_cam))
+        truth = truth.assign(
             position_sd_m=0.005,
             rotation_sd_deg=0.02,
             quality=self.quality,
-            reason="",
-            gt_uses_vio=False,
             scale_source=self.scale_source,
             vertical_source="none" if self.scale_source == "none" else "gravity",
             component=0,
-            fx=50.0, fy=50.0, cx=32.0, cy=24.0, distortion=cells([[0.09, -0.12, 0.0, 0.0]] * len(frames)),
-            camera_origin="estimated",
-        )  # fmt: skip
+        )
         # One test frame without ground truth: it can't be scored, and must be counted as such.
         lost = truth.index[truth["split"] == "test"][3]
         truth.loc[lost, [c for c in truth.columns if c.startswith("map_cam")]] = np.nan
         truth.loc[lost, ["quality", "reason"]] = "none", "not registered"
-        localised, predictions, poses, errors = [], [], [], []
+        localised, predictions, poses, errors = [filled("localise", "predictions", 0)], [], [], []
         for model in self.models:
             raw = self.disturbed(0.6, 2.0)
+            keys: dict[str, Any] = {"model": model, "scene": self.name, "picked_scene": self.name, **frames}
             if model in self.localisers:
                 raw = np.where(self.refused[:, None, None], np.nan, self.map_T_cam)
-                localised.append(self._localised(model, raw))
+                refusal = cells("thin_evidence" if refused else None for refused in self.refused)
+                keys |= {"refusal": refusal, "reason": refusal, "cpu_ms": 80.0, "inliers": 90, "inference_ms": 60.0}
+                localised.append(filled("localise", "predictions", count, **keys, **pose_frame("map_cam", raw)))
             else:
-                predictions.append(
-                    pd.concat([frames, pose_frame("map_cam", raw)], axis=1).assign(
-                        model=model, scene=self.name, covariance=None, picked_scene=self.name, inference_ms=12.0
-                    )
-                )
+                answers = pose_frame("map_cam", raw)
+                predictions.append(filled("train", "predictions", count, **keys, **answers, inference_ms=12.0))
             for method, options, *_ in METHODS:
                 fused, errs = self._fused(model, method, options, raw)
                 poses.append(fused)
                 errors.append(errs.drop(index=lost))
+        seen = pose_frame("sfm_cam", np.where((np.arange(count) == lost)[:, None, None], np.nan, self.map_T_cam))
+        ids, is_registered = frames["frame_id"], frames.index != lost
+        registered = filled("sfm", "images", count, frame_id=ids, registered=is_registered, **seen)
+        unregistered = registered.iloc[[lost]].assign(frame_id="walk_1/000900")
         return {
             "import": {
                 "frames": imported,
                 "sessions": self._sessions(),
                 "rejects": self._rejects(),
-                "jumps": pd.DataFrame(columns=schema("import", "jumps").column_names),
+                "jumps": filled("import", "jumps", 0),
             },
-            "sfm": {"images": self._images(lost)},
+            "sfm": {"images": pd.concat([registered, unregistered], ignore_index=True)},
             "align": {
                 "ground_truth": truth,
                 "sessions": self._aligned(),
@@ -156,12 +154,11 @@ class MadeUpScene:
                 "checks": self._checks(),
                 "residuals": self._residuals(lost),
             },
-            "localise": self._localise(localised),
+            "localise": {"predictions": pd.concat(localised), "models": self._maps()},
             "train": {"predictions": pd.concat(predictions), "history": self._history(), "models": self._cards()},
             "fuse": {
                 "poses": pd.concat(poses),
                 "errors": pd.concat(errors),
-                "sweep": self._sweep(),
                 "intervals": self._intervals(),
                 "sessions": self._fused_sessions(),
                 "methods": pd.DataFrame(METHODS, columns=["method", "options", "label", "fuses", "causal", "meaning"]),
@@ -173,31 +170,10 @@ class MadeUpScene:
         """The frames (N,) that each structure localiser refuses: every sixth."""
         return np.arange(len(self.frames)) % 6 == 0
 
-    def _localised(self, model: str, poses: Array) -> pd.DataFrame:
-        refusal = pd.Series(cells("thin_evidence" if refused else None for refused in self.refused), dtype=object)
-        return pd.concat([self.frames, pose_frame("map_cam", poses)], axis=1).assign(
-            model=model, scene=self.name, picked_scene=self.name, covariance=None, inference_ms=60.0, cpu_ms=80.0,
-            inliers=90, candidates=120, refusal=refusal, reason=refusal,
-        )  # fmt: skip
-
-    def _localise(self, localised: list[pd.DataFrame]) -> dict[str, pd.DataFrame]:
-        keys = {name: schema("localise", name).column_names for name in ("predictions", "models", "storage")}
-        models = [
-            {"model": model, "label": model, "meaning": "a made-up map", "file": "map.gwm", "bytes": 3 << 19,
-             "points": 2000, "train_frames": 108, "seed": 0, "config": "{}", "device": "made-up cores",
-             "inference_ms": 60.0, "cpu_ms": 80.0, "build_cpu_seconds": 7.0}
-            for model in self.localisers
-        ]  # fmt: skip
-        storage = [
-            {"model": model, "part": part, "bytes": size << 19}
-            for model in self.localisers
-            for part, size in (("descriptors", 2), ("points", 1))
-        ]
-        tables = {"predictions": localised, "models": [pd.DataFrame(models)], "storage": [pd.DataFrame(storage)]}
-        return {
-            name: pd.concat(rows)[keys[name]] if self.localisers else pd.DataFrame(columns=keys[name])
-            for name, rows in tables.items()
-        }
+    def _maps(self) -> pd.DataFrame:
+        names, cost = [*self.localisers], {"inference_ms": 60.0, "cpu_ms": 80.0, "build_cpu_seconds": 7.0}
+        what = {"meaning": "a made-up map", "file": "map.gwm", "bytes": 3 << 19, "device": "made-up cores"}
+        return filled("localise", "models", len(names), model=names, label=names, train_frames=108, **what, **cost)
 
     def _fused_sessions(self) -> pd.DataFrame:
         """As good as odometry can be, but that `raw` never answers in walk_4."""
@@ -205,31 +181,10 @@ class MadeUpScene:
         for model, (method, options, *_), session in product(self.models, METHODS, ("walk_3", "walk_4")):
             never = method == "raw" and session == "walk_4"
             row: dict[str, object] = {"method": method, "options": options, "model": model, "scene": self.name}
-            row |= {
-                "session_id": session,
-                "split": "test",
-                "frames": 30,
-                "answered": 0 if never else 27,
-                "first_fix_s": None if never else 3.0,
-            }
-            row |= {"longest_outage_s": None if never else 4.25, "jitter_m": 0.125, "jitter_deg": 0.75}
-            rows.append(row | {"recovery_s": np.inf if method == "paper_rule" else None})
-        return pd.DataFrame(rows)
-
-    def _sweep(self) -> pd.DataFrame:
-        """The larger a threshold, the larger errors and coverage."""
-        values = {"n": (1, 2, 3), "d_th_m": (0.2, 0.4, 0.8), "o_th_deg": (2.0, 4.0, 8.0), "gamma": (0.95, 0.99, 0.999)}
-        usual = {"n": 2, "d_th_m": 0.4, "o_th_deg": 4.0, "gamma": 0.99}
-        figures = {c.name: 10.0 for c in schema("fuse", "sweep").columns if c.dtype == "float64"}
-        counts = {"frames": 40, "answered": 30, "total": 40, "too_uncertain": 0}
-        rows = [
-            figures | counts | usual | {"scene": self.name, "model": model, "varied": varied, varied: value}
-            | {"subset": subset, "position_mean_m": 1.0 + i, "rotation_mean_deg": 3.0 + i, "coverage_pct": 60.0 + i}
-            for model in self.models
-            for varied, tried in values.items()
-            for i, value in enumerate(tried)
-            for subset in ("rp+opt", "all")
-        ]  # fmt: skip
+            row |= {"session_id": session, "split": "test", "frames": 30, "answered": 0 if never else 27}
+            row |= {"first_fix_s": None if never else 3.0, "longest_outage_s": None if never else 4.25}
+            row |= {"jitter_m": 0.125, "jitter_deg": 0.75, "recovery_s": np.inf if method == "paper_rule" else None}
+            rows.append(row)
         return pd.DataFrame(rows)
 
     def _intervals(self) -> pd.DataFrame:
@@ -274,36 +229,15 @@ class MadeUpScene:
         return poses, errors
 
     def _sessions(self) -> pd.DataFrame:
-        rows = []
-        for session, of_session in self.frames.groupby("session_id"):
-            n = len(of_session)
-            row = {
-                "session_id": session,
-                "recording": session,
-                "format": "3d_scanner_app",
-                "device": "made up",
-                "clock": "boot",
-            }
-            split = of_session["split"].iloc[-1].replace("val", "train")
-            rows.append(
-                row
-                | {
-                    "duration_s": n - 1.0,
-                    "path_m": 110.0,
-                    "poses": n,
-                    "images": n,
-                    "frames": n,
-                    "support_frames": 0,
-                    "pose_source": "vio",
-                    "reference_unit": None,
-                    "up": "+y",
-                    "up_source": "format",
-                    **dict.fromkeys(f"reference_origin_{axis}" for axis in "xyz"),
-                    "appearance": self.appearances.get(str(session), "same"),
-                    "split": split,
-                }
-            )
-        return pd.DataFrame(rows)
+        walks = self.frames.groupby("session_id")
+        counts, names = walks.size().to_numpy(), [str(name) for name in walks.groups]
+        return filled(
+            "import", "sessions", len(names), session_id=names, recording=names, format="3d_scanner_app",
+            device="made up", duration_s=counts - 1.0, path_m=110.0, pose_source="vio", up="+y", up_source="format",
+            poses=counts, images=counts, frames=counts,
+            split=walks["split"].last().replace("val", "train").to_numpy(),
+            appearance=[self.appearances.get(name, "same") for name in names],
+        )  # fmt: skip
 
     def _rejects(self) -> pd.DataFrame:
         rows = [
@@ -314,46 +248,20 @@ class MadeUpScene:
             ("walk_2", "frame_00004.json", "no number", None),
         ]
         table = pd.DataFrame(rows, columns=["session_id", "source", "reason", "rejected"])
-        return table.assign(t_ns=pd.array([None] * len(rows), dtype="Int64"))
-
-    def _images(self, lost: int) -> pd.DataFrame:
-        count = len(self.frames)
-        poses = self.map_T_cam.copy()
-        poses[lost] = np.nan
-        registered = np.arange(count) != lost
-        images = pd.concat([self.frames[["frame_id"]], pose_frame("sfm_cam", poses)], axis=1).assign(
-            registered=registered, not_registered=cells(None if r else NotRegistered.NOT_MAPPED for r in registered),
-            model_id="incremental/0", keypoints=900, covariance=None, motion_sd=np.nan,
-            observations=self.rng.integers(150, 700, count) * registered,
-            reprojection_px=np.where(registered, self.rng.gamma(20, 0.04, count), np.nan),
-            track_length=np.where(registered, 6.5, np.nan), triangulation_deg=np.where(registered, 12.0, np.nan),
-            held_out_matches=40, held_out_px=np.where(registered, 0.5, np.nan),
-            fitted_px=np.where(registered, 0.4, np.nan), fx=480.0, fy=480.0, cx=320.0, cy=240.0,
-            distortion=cells([[0.09, -0.12, 0.0, 0.0]] * count), readout_s=0.015, camera_origin="estimated",
-            **dict.fromkeys((f"{what}_{a}" for what in ("angular", "velocity") for a in "xyz"), 0.0),
-        )  # fmt: skip
-        support = images.iloc[[lost]].assign(frame_id="walk_1/000900")
-        return pd.concat([images, support], ignore_index=True)
+        return filled("import", "rejects", len(rows), **table)
 
     def _aligned(self) -> pd.DataFrame:
-        sessions = self.frames.groupby("session_id").size().index
-        frame = pd.DataFrame({"session_id": sessions, "segment": 0})
-        for column in schema("align", "sessions").columns:
-            if column.name not in frame and not column.name.startswith("map_vio"):
-                plain: Any = {"int64": 30, "string": "vio", "float64": 0.021}[column.dtype]
-                frame[column.name] = 1.003 if column.name == "scale" else plain
-        frame["t_start_ns"], frame["t_end_ns"] = 0, 10**15
-        identity = np.tile(np.eye(4), (len(frame), 1, 1))
-        return pd.concat([frame, pose_frame("map_vio", identity), pose_frame("map_vio_yaw", identity)], axis=1)
+        names = sorted(set(self.frames["session_id"]))
+        identity = pose_frame("map_vio", np.tile(np.eye(4), (len(names), 1, 1)))
+        known = {"frames": 30, "with_ground_truth": 30, "scale_source": "vio", "scale": 1.003}
+        return filled("align", "sessions", len(names), session_id=names, t_end_ns=10**15, **known, **identity)
 
     def _residuals(self, lost: int) -> pd.DataFrame:
         """VIO moves away by a millimetre a frame."""
-        frames = self.frames.drop(columns="split")
-        count = frames.groupby("session_id").cumcount()
-        errors = {
-            f"{window}{name}": 0.001 * count for window in ("", "window_") for name in ("position_m", "rotation_deg")
-        }
-        return frames.assign(segment=0, component=0, travelled_m=0.5 * count, **errors).drop(index=lost)
+        off = 0.001 * self.frames.groupby("session_id").cumcount()
+        keys = self.frames.drop(columns="split")
+        table = filled("align", "residuals", len(keys), **keys, position_m=off, rotation_deg=off)
+        return table.drop(index=lost)
 
     def _drift(self) -> pd.DataFrame:
         rows = []
@@ -371,72 +279,25 @@ class MadeUpScene:
         return frame.drop(columns="factor")
 
     def _checks(self) -> pd.DataFrame:
-        row = {"check": "window_position", "session_id": "walk_1", "t_start_ns": 0, "t_end_ns": SECOND, "frames": 10}
-        row |= {"value": 0.01, "limit": 0.1, "unit": "m", "sd": None, "status": "passed", "reason": ""}
-        row |= {"advice": "", "component": 0, "cause": None}
-        failed = row | {
-            "session_id": "walk_2",
-            "value": 0.3,
-            "status": "failed",
-            "reason": "pose in SfM inconsistent with VIO",
-        }
-        undecided = failed | {"check": "ruler_scale", "value": None, "limit": 0.03, "status": "undecided"}
-        undecided["reason"] = "board: seen once"
-        return pd.DataFrame([row, failed, undecided])
+        return filled(
+            "align", "checks", 3, check=["window_position", "window_position", "ruler_scale"], frames=10, unit="m",
+            session_id=["walk_1", "walk_2", "walk_2"], status=["passed", "failed", "undecided"], limit=[0.1, 0.1, 0.03],
+            value=[0.01, 0.3, None], reason=["", "pose in SfM inconsistent with VIO", "board: seen once"],
+        )  # fmt: skip
 
     def _history(self) -> pd.DataFrame:
-        rows = []
-        for model in MODELS:
-            for epoch in range(1, 13):
-                row = {
-                    "model": model,
-                    "scenes": [self.name],
-                    "epoch": epoch,
-                    "learning_rate": 1e-4,
-                    "selected": epoch == 11,
-                }
-                row |= {"train_loss": 3 / epoch - 1, "val_position_m": 6 / epoch, "val_rotation_deg": 30 / epoch}
-                rows.append(row | {"sx": 0.0, "sq": -3.0, "seconds": 2.0})
-        return pd.DataFrame(rows)
+        table = pd.DataFrame(product(MODELS, range(1, 13)), columns=["model", "epoch"])
+        errors = {"train_loss": 3 / table["epoch"] - 1, "val_position_m": 6 / table["epoch"]}
+        selected = {"selected": table["epoch"] == 11, "scenes": cells([[self.name]] * len(table))}
+        return filled("train", "history", len(table), **table, **errors, **selected)
 
     def _cards(self) -> pd.DataFrame:
-        base = {
-            "scenes": [self.name],
-            "weights": "scratch: no internet",
-            "resize_px": 256,
-            "crop_px": 224,
-            "width_px": 224,
-            "upright": False,
-            "focal_px": 250.0,
-            "epochs": 12,
-        }
-        base |= {
-            "train_frames": 108,
-            "val_frames": 12,
-            "best_epoch": 11,
-            "seed": 0,
-            "config": "{}",
-            "inference_ms": 12.0,
-        }
-        base |= {"device": "made-up processor, float32", "train_seconds": 61.0}
-        pn = {
-            "model": "PN",
-            "label": "PN",
-            "file": "pn.pt",
-            "parameters": 22_349_000,
-            "bytes": 89_430_000,
-            "layers": "",
-            "reduced": "",
-        }
-        mst = {
-            "model": "MS-T",
-            "label": "MS-T",
-            "file": "mst.pt",
-            "parameters": 18_000_000,
-            "bytes": 60_000_000,
-            "layers": "2+2 layers",
-        }
-        return pd.DataFrame([base | pn, base | mst | {"reduced": "2+2 instead of 6+6 transformer layers"}])
+        return filled(
+            "train", "models", 2, model=MODELS, label=MODELS, scenes=cells([[self.name]] * 2), file=["pn.pt", "mst.pt"],
+            weights="scratch: no internet", layers=["", "2+2 layers"], bytes=[89_430_000, 60_000_000], crop_px=224,
+            epochs=12, train_frames=108, device="made-up processor, float32",
+            reduced=["", "2+2 instead of 6+6 transformer layers"],
+        )  # fmt: skip
 
 
 def write_scene(data: DataRoot, scene: MadeUpScene, simulated: bool) -> None:
@@ -458,8 +319,7 @@ def write_group(data: DataRoot, name: str, members: list[str]) -> None:
     (data.root / "scenes" / f"{name}.toml").write_text(config)
 
     def joined(stage: str, table: str) -> pd.DataFrame:
-        folders = [data.run("tiny", member, stage) for member in members]
-        return pd.concat([read_table(f / f"{table}.parquet", schema(stage, table)) for f in folders], ignore_index=True)
+        return pd.concat([table_of(data, member, stage, table) for member in members], ignore_index=True)
 
     train = {table: joined("train", table) for table in ("predictions", "history", "models")}
     train = {table: frame[frame["model"] == "MS-T"] for table, frame in train.items()}
@@ -470,7 +330,7 @@ def write_group(data: DataRoot, name: str, members: list[str]) -> None:
     columns = [c for c in errors.columns if c.endswith(("position_m", "rotation_deg"))]
     errors.loc[errors["model"] == "MS-T", columns] *= 0.5
     write_stage(data, name, "train", train, True)
-    fused = {table: joined("fuse", table) for table in ("poses", "sweep", "intervals", "sessions")}
+    fused = {table: joined("fuse", table) for table in ("poses", "intervals", "sessions")}
     fused["methods"] = joined("fuse", "methods").drop_duplicates()
     write_stage(data, name, "fuse", fused | {"errors": errors}, True)
 
@@ -497,6 +357,29 @@ def write_stage(data: DataRoot, scene: str, stage: str, tables: dict[str, pd.Dat
             "outputs": hash_files(folder, folder.glob("*.parquet")),
         },
     )  # fmt: skip
+
+
+def table_of(data: DataRoot, scene: str, stage: str, table: str) -> pd.DataFrame:
+    return read_table(data.run("tiny", scene, stage) / f"{table}.parquet", schema(stage, table))
+
+
+def rewrite(data: DataRoot, scene: str, stage: str, table: str, content: pd.DataFrame) -> None:
+    """Put another content into a table, as its stage would have written it."""
+    folder = data.run("tiny", scene, stage)
+    write_table(folder / f"{table}.parquet", content, schema(stage, table))
+    write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})
+
+
+def page_of(folder: Path, file: str = "page.html") -> str:
+    return (folder / file).read_text(encoding="utf-8")
+
+
+def rows_of(folder: Path, table: str, file: str = "page.html") -> list[list[str]]:
+    """The cells of a table of a page, row by row."""
+    page = page_of(folder, file)
+    part = page[page.index(f'id="{table}"') :]
+    rows = re.findall(r"<tr.*?</tr>", part[: part.index("</table>")])
+    return [cells for row in rows if (cells := re.findall(r"<td[^>]*>(.*?)</td>", row))]
 
 
 @pytest.fixture(scope="session")

@@ -17,16 +17,12 @@ from groundwalk.store.manifests import output_hashes
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.tables import read_table, write_table
-from tests.reports.test_stage import rows_of
+from tests.known import filled
+from tests.reports.made_up_scenes import rows_of
 
 FRAMES = 200
 RNG = np.random.default_rng(0)
 ERRORS = RNG.lognormal(0, 0.5, FRAMES)
-
-
-def empty(stage: str, table: str) -> pd.DataFrame:
-    rows: pd.DataFrame = schema(stage, table).arrow().empty_table().to_pandas()
-    return rows
 
 
 def run_with(position: np.ndarray, model: str = "PN") -> ComparedRun:
@@ -34,7 +30,7 @@ def run_with(position: np.ndarray, model: str = "PN") -> ComparedRun:
     keys = {"scene": "S", "session_id": "w", "t_ns": np.arange(FRAMES), "frame_id": [f"w/{i}" for i in range(FRAMES)]}
     errors = pd.DataFrame(keys).assign(model=model, method="raw", options="", split="test", quality="A")
     errors = errors.assign(raw_position_m=position, raw_rotation_deg=np.where(np.isnan(position), np.nan, 1.0))
-    return ComparedRun("r", {}, "m", empty("align", "ground_truth"), errors, empty("fuse", "validation"))
+    return ComparedRun("r", {}, "m", filled("align", "ground_truth", 0), errors, filled("fuse", "validation", 0))
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from groundwalk.reports.runs_index import write_index
 from groundwalk.store.files import read_json, write_json
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.stage import execute
-from tests.reports.test_stage import rows_of
+from tests.reports.made_up_scenes import rows_of
 
 
 def test_each_run_stands_with_its_state_and_figures(make_run: Callable[..., DataRoot], tmp_path: Path) -> None:

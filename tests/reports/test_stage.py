@@ -19,15 +19,13 @@ from groundwalk.reports.grids import Block, Grid, Row, latex, latex_text, markdo
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PUBLISHED, load_published
 from groundwalk.reports.run_checks import AGREES
-from groundwalk.scoring.scores import score
 from groundwalk.store import UserError
-from groundwalk.store.files import write_json
-from groundwalk.store.manifests import load_manifest, output_hashes
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.stage import execute
-from groundwalk.store.tables import read_table, write_table
+from groundwalk.store.tables import read_table
 from tests.known import there
+from tests.reports.made_up_scenes import page_of, rewrite, rows_of, table_of
 
 MakeRun = Callable[..., DataRoot]
 
@@ -65,6 +63,13 @@ def chair(make_run: MakeRun) -> tuple[DataRoot, Path]:
     return data, execute(STAGE, "chair", "tiny", data)
 
 
+def errors_of(data: DataRoot, scene: str, model: str, method: str | None = None) -> pd.DataFrame:
+    """Those of a model's test frames: by one method of fusion, or each frame once."""
+    errors = table_of(data, scene, "fuse", "errors")
+    errors = errors[(errors["split"] == "test") & (errors["model"] == model)]
+    return errors.drop_duplicates("frame_id") if method is None else errors[errors["method"] == method]
+
+
 def cells_of(folder: Path, **keys: str) -> pd.DataFrame:
     cells = read_table(folder / "cells.parquet", schema("report", "cells"))
     for column, value in keys.items():
@@ -72,14 +77,9 @@ def cells_of(folder: Path, **keys: str) -> pd.DataFrame:
     return cells
 
 
-def table_of(data: DataRoot, scene: str, stage: str, table: str) -> pd.DataFrame:
-    return read_table(data.run("tiny", scene, stage) / f"{table}.parquet", schema(stage, table))
-
-
 def test_cells_are_what_the_errors_say(church: tuple[DataRoot, Path]) -> None:
     data, folder = church
-    errors = table_of(data, "Church", "fuse", "errors")
-    errors = errors[(errors["split"] == "test") & (errors["method"] == "paper_rule") & (errors["model"] == "MS-T")]
+    errors = errors_of(data, "Church", "MS-T", "paper_rule")
     for subset, statuses in (("rp", {"reliable"}), ("opt", {"optimised"}), ("rp+opt", {"reliable", "optimised"})):
         part = errors[[status in statuses for status in errors["status"]]]
         ours = cells_of(folder, source="ours", scene="Church", model="MS-T", row=subset).set_index("column")["value"]
@@ -94,8 +94,7 @@ def test_cells_are_what_the_errors_say(church: tuple[DataRoot, Path]) -> None:
 
 def test_a_missing_pose_is_a_failure(church: tuple[DataRoot, Path]) -> None:
     data, folder = church
-    errors = table_of(data, "Church", "fuse", "errors")
-    errors = errors[(errors["split"] == "test") & (errors["method"] == "paper_rule") & (errors["model"] == "PN")]
+    errors = errors_of(data, "Church", "PN", "paper_rule")
     live = errors["live_position_m"]
     rows = cells_of(folder, source="ours", table="IV", model="PN", method="paper_rule", row="all")
     ours = rows.set_index("column")["value"]
@@ -125,8 +124,7 @@ def test_frames_of_uncertain_ground_truth_are_left_out_of_levels_and_counted(
     pair: tuple[DataRoot, Path],
 ) -> None:
     data, folder = pair
-    errors = table_of(data, "Square", "fuse", "errors")
-    errors = errors[(errors["split"] == "test") & (errors["method"] == "paper_rule") & (errors["model"] == "PN")]
+    errors = errors_of(data, "Square", "PN", "paper_rule")
     part = errors[errors["status"].isin(["reliable", "optimised"])]
     sure = part[part["quality"] == "A"]
     assert 0 < len(sure) < len(part)
@@ -151,12 +149,10 @@ def test_without_sure_ground_truth_no_level_is_scored(chair: tuple[DataRoot, Pat
     assert cells_of(folder, source="ours", statistic="mean", row="all")["value"].notna().all()
     for number in (3, 4):
         assert "So no level can be scored." in (folder / "tables" / f"table{number}.md").read_text()
-    page = (folder / "page.html").read_text(encoding="utf-8")
-    table = page[page.index('id="quality-chair"') :]
-    rows = [re.findall(r"<td[^>]*>(.*?)</td>", r) for r in re.findall(r"<tr.*?</tr>", table[: table.index("</table>")])]
-    assert [rows[1][i] for i in (0, 4, 5, 6)] == ["C", "0.5 to 0.5", "0.02 to 0.02", "left out"]
-    assert rows[2][0] == "none" and rows[2][6] == "not scored"
-    assert int(rows[1][1]) + int(rows[2][1]) == 24 and "no level can be scored" in page
+    rows = rows_of(folder, "quality-chair")
+    assert [rows[0][i] for i in (0, 4, 5, 6)] == ["C", "0.5 to 0.5", "0.02 to 0.02", "left out"]
+    assert rows[1][0] == "none" and rows[1][6] == "not scored"
+    assert int(rows[0][1]) + int(rows[1][1]) == 24 and "no level can be scored" in page_of(folder)
 
 
 @pytest.mark.usefixtures("blank_figures")
@@ -182,7 +178,7 @@ def test_a_map_without_metric_scale_is_marked_everywhere(
     assert not [text for text in drawn if re.search(r"error.*\(c?m\)|^position \(m\)|\d m$", text)] and mark in "".join(
         drawn
     )
-    page = (folder / "page.html").read_text(encoding="utf-8")
+    page = page_of(folder)
     head, summary = page[: page.index("<main>")], page[page.index('id="verdict"') : page.index('id="capture"')]
     assert 'id="without-scale"' in head and "[import] reference_is_metric = true in data/scenes/Yard.toml" in head
     assert re.search(r"<b>± \d.* map units, ± \d.*°</b>", summary) and not re.search(r"<b>.* m, ", summary)
@@ -209,8 +205,7 @@ def test_structure_localisers_stand_beside_the_regressors(make_run: MakeRun) -> 
     assert refused == 8
     one = cells_of(folder, source="ours", table="I", model="Map").set_index("quantity")["text"]
     assert (one["Map storage"], one["Map runtime"]) == ("1.5", "60.0")
-    errors = table_of(data, "Yard", "fuse", "errors")
-    errors = errors[(errors["split"] == "test") & (errors["model"] == "Map")].drop_duplicates("frame_id")
+    errors = errors_of(data, "Yard", "Map")
     levels = cells_of(folder, source="ours", table="III", row="rp", model="Map", method="raw", over="all")
     high = levels.loc[levels["quantity"] == "high", "value"].iloc[0]
     assert high == pytest.approx(100 * errors["raw_position_m"].notna().mean()) and high < 90  # a refusal fails
@@ -219,7 +214,7 @@ def test_structure_localisers_stand_beside_the_regressors(make_run: MakeRun) -> 
     for number in (2, 3):
         text = (folder / "tables" / f"table{number}.md").read_text()
         assert f"Yard: Map refused {refused} of {len(said)} test frames" in text
-    page = (folder / "page.html").read_text(encoding="utf-8")
+    page = page_of(folder)
     assert "Structure localisers" in page and f"{refused} thin_evidence of {len(said)}" in page
     assert "simulated, test walks in the training walks' light, tiny profile" in table
     findings = read_table(folder / "checks.parquet", schema("report", "checks"))
@@ -232,30 +227,18 @@ def test_structure_localisers_stand_beside_the_regressors(make_run: MakeRun) -> 
 def test_errors_by_walk_or_by_appearance(appearances: tuple[str, str], make_run: MakeRun) -> None:
     data = make_run(Yard={"train": 30, "test": 24, "localisers": ("Map",), "appearances": appearances})
     folder = execute(STAGE, "Yard", "tiny", data)
-    errors = table_of(data, "Yard", "fuse", "errors")
-    errors = errors[errors["split"] == "test"].drop_duplicates(["model", "frame_id"])
-    page = (folder / "page.html").read_text(encoding="utf-8")
-    table = page[page.index('id="walks-Yard"') :]
-    table = table[: table.index("</table>")]
-    rows = [re.findall(r"<td[^>]*>(.*?)</td>", r) for r in re.findall(r"<tr.*?</tr>", table)]
+    rows = rows_of(folder, "walks-Yard")
     walks = ["walk_3", "walk_4"] if appearances[0] == appearances[1] else list(appearances)
-    assert [row[:2] for row in rows if row] == [[model, walk] for model in ("PN", "MS-T", "Map") for walk in walks]
-    for row in filter(None, rows):
+    assert [row[:2] for row in rows] == [[model, walk] for model in ("PN", "MS-T", "Map") for walk in walks]
+    for row in rows:
         session = ["walk_3", "walk_4"][walks.index(row[1])]
-        metres = errors.loc[(errors["model"] == row[0]) & (errors["session_id"] == session), "raw_position_m"]
+        errors = errors_of(data, "Yard", row[0])
+        metres = errors.loc[errors["session_id"] == session, "raw_position_m"]
         assert row[2:4] == [str(len(metres)), str(int(metres.notna().sum()))]
         assert float(row[4]) == pytest.approx(metres.fillna(np.inf).median(), abs=0.01)
-    assert ("Errors by appearance" in page) == (walks == list(appearances))
+    assert ("Errors by appearance" in page_of(folder)) == (walks == list(appearances))
     light = "in the training walks' light, in the evening" if "evening" in walks else "in the training walks' light"
     assert f"simulated, test walks {light}, tiny profile" in (folder / "tables" / "table1.md").read_text()
-
-
-def rows_of(folder: Path, table: str, file: str = "page.html") -> list[list[str]]:
-    """The cells of a table of a page, row by row."""
-    page = (folder / file).read_text(encoding="utf-8")
-    part = page[page.index(f'id="{table}"') :]
-    rows = re.findall(r"<tr.*?</tr>", part[: part.index("</table>")])
-    return [cells for row in rows if (cells := re.findall(r"<td[^>]*>(.*?)</td>", row))]
 
 
 def test_the_page_counts_images_left_out_by_reason(church: tuple[DataRoot, Path]) -> None:
@@ -269,38 +252,16 @@ def test_the_page_counts_images_left_out_by_reason(church: tuple[DataRoot, Path]
 
 
 def test_the_page_shows_what_a_user_sees(church: tuple[DataRoot, Path]) -> None:
-    _, folder = church
-    page = (folder / "page.html").read_text(encoding="utf-8")
-    table = page[page.index('id="users-Church"') :]
-    rows = [re.findall(r"<td[^>]*>(.*?)</td>", r) for r in re.findall(r"<tr.*?</tr>", table[: table.index("</table>")])]
+    rows = rows_of(church[1], "users-Church")
     assert ["PN", "raw", "never", "a whole walk", "0.125", "0.750", "–"] in rows
     assert ["PN", "paper_rule", "3.0", "4.2", "0.125", "0.750", "never"] in rows
     assert rows[-1] == ["MS-T", "smoother (offline)", "3.0", "4.2", "0.125", "0.750", "–"]
 
 
 def test_checks_that_are_undecided_are_not_counted_as_failed(church: tuple[DataRoot, Path]) -> None:
-    _, folder = church
-    page = (folder / "page.html").read_text(encoding="utf-8")
-    table = page[page.index('id="consistency-Church"') :]
-    rows = [re.findall(r"<td[^>]*>(.*?)</td>", r) for r in re.findall(r"<tr.*?</tr>", table[: table.index("</table>")])]
-    assert [
-        "window_position",
-        "failed: pose in SfM inconsistent with VIO",
-        "m",
-        "2",
-        "1",
-        "0",
-        "0.01 to 0.3",
-        "0.1",
-    ] in rows
-    assert ["ruler_scale", "undecided: board: seen once", "m", "1", "0", "1", "–", "0.03"] in rows
-
-
-def test_scores_fail_gracefully_where_most_is_missing() -> None:
-    mostly_missing = score([0.1, np.nan, np.nan], [1.0, np.nan, np.nan])
-    assert np.isnan(mostly_missing.median_m) and mostly_missing.mean_m == pytest.approx(0.1)
-    assert mostly_missing.high == pytest.approx(100 / 3) and mostly_missing.answered == 1
-    assert np.isnan(score([], []).mean_m)
+    rows = rows_of(church[1], "consistency-Church")
+    assert ["window_position", "failed: pose in SfM inconsistent with VIO", "m", *"210", "0.01 to 0.3", "0.1"] in rows
+    assert ["ruler_scale", "undecided: board: seen once", "m", *"101", "–", "0.03"] in rows
 
 
 def test_a_run_is_what_its_numbers_are_taken_for(church: tuple[DataRoot, Path]) -> None:
@@ -338,11 +299,10 @@ def test_a_group_has_all_members_and_their_average(pair: tuple[DataRoot, Path]) 
 def test_a_groups_own_models_replace_its_members(pair: tuple[DataRoot, Path]) -> None:
     data, folder = pair
     for model, factor in (("PN", 1.0), ("MS-T", 0.5)):
-        errors = table_of(data, "Hall", "fuse", "errors")
-        errors = errors[(errors["split"] == "test") & (errors["method"] == "raw") & (errors["model"] == model)]
+        errors = errors_of(data, "Hall", model)
         ours = cells_of(folder, source="ours", table="II", scene="Hall", column=f"{model} mean translation")
         assert list(ours["value"]) == pytest.approx([factor * errors["raw_position_m"].mean()] * 3)
-    page = (folder / "page.html").read_text(encoding="utf-8")
+    page = page_of(folder)
     assert "train of both" in page and "fuse of both" in page
     assert "trained on Square, Hall" in (folder / "tables" / "table2.md").read_text()
 
@@ -406,7 +366,7 @@ class Links(HTMLParser):
 
 def test_the_page_is_self_contained_and_says_simulated(church: tuple[DataRoot, Path]) -> None:
     _, folder = church
-    page = (folder / "page.html").read_text(encoding="utf-8")
+    page = page_of(folder)
     links = Links(page)
     assert not links.open
     for address in links.addresses:
@@ -421,7 +381,7 @@ def test_the_page_is_self_contained_and_says_simulated(church: tuple[DataRoot, P
 
 def test_a_real_capture_of_few_frames_says_that_its_accuracy_means_nothing(chair: tuple[DataRoot, Path]) -> None:
     _, folder = chair
-    page = (folder / "page.html").read_text(encoding="utf-8")
+    page = page_of(folder)
     assert 'id="meaningless"' in page and "accuracy means nothing" in page and 'id="simulated"' not in page
     assert "means nothing" in (folder / "tables" / "table2.tex").read_text()
     assert cells_of(folder, source="published").empty
@@ -430,11 +390,8 @@ def test_a_real_capture_of_few_frames_says_that_its_accuracy_means_nothing(chair
 
 
 def test_near_copies_in_training_mean_that_accuracy_means_nothing() -> None:
-    for near, reasons in (
-        (0.9, ["90% of test images show nearly what a training image shows"]),
-        (0.01, []),
-        (None, []),
-    ):
+    copies = "90% of test images show nearly what a training image shows"
+    for near, reasons in ((0.9, [copies]), (0.01, []), (None, [])):
         frames = pd.DataFrame({"split": ["train"] * 500})
         made = SimpleNamespace(frames=frames, leak_s=None, near_copies=near, cards=["PN"])
         assert SceneInputs.why_meaningless(cast(SceneInputs, made)) == reasons
@@ -445,19 +402,16 @@ def test_support_frames_are_not_counted(chair: tuple[DataRoot, Path]) -> None:
     frames = table_of(data, "chair", "import", "frames")
     images = table_of(data, "chair", "sfm", "images")
     assert len(frames) == 25 and frames["support"].sum() == 1 and len(images) == 25
-    page = (folder / "page.html").read_text(encoding="utf-8")
+    page = page_of(folder)
     assert "<b>24</b><span>frames</span>" in page and "25 frames" not in page
 
 
 def test_the_same_run_gives_the_same_bytes(chair: tuple[DataRoot, Path]) -> None:
     data, folder = chair
-    outputs = {
-        p.relative_to(folder): p.read_bytes()
-        for p in folder.rglob("*")
-        if p.suffix in (".svg", ".png", ".pdf", ".html", ".parquet")
-    }
+    kinds = (".svg", ".png", ".pdf", ".html", ".parquet")
+    outputs = {path: path.read_bytes() for path in folder.rglob("*") if path.suffix in kinds}
     execute(STAGE, "chair", "tiny", data, force=True)
-    assert {p: (folder / p).read_bytes() for p in outputs} == outputs
+    assert {path: path.read_bytes() for path in outputs} == outputs
 
 
 @pytest.mark.usefixtures("blank_figures")
@@ -472,18 +426,14 @@ def test_the_same_run_gives_the_same_bytes(chair: tuple[DataRoot, Path]) -> None
 def test_a_run_without_the_papers_rule(make_run: MakeRun, methods: list[str], headline: list[str]) -> None:
     """Fused by any method, or not at all: raw errors in Tables II and III, all methods in Table IV."""
     data = make_run(Bar={"train": 12, "test": 8})
-    folder = data.run("tiny", "Bar", "fuse")
     for table in ("poses", "errors", "intervals", "sessions", "methods"):
         rows = table_of(data, "Bar", "fuse", table)
         rows["method"] = rows["method"].replace("paper_rule", "mine")
         if table == "methods":
             rows["label"] = rows["label"].replace("VIO", "my filter")
-        write_table(folder / f"{table}.parquet", rows[rows["method"].isin(methods)], schema("fuse", table))
-    (folder / "sweep.parquet").unlink()
-    write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})
+        rewrite(data, "Bar", "fuse", table, rows[rows["method"].isin(methods)])
     report = execute(STAGE, "Bar", "tiny", data)
-    errors = table_of(data, "Bar", "fuse", "errors")
-    errors = errors[(errors["split"] == "test") & (errors["model"] == "PN")].drop_duplicates("frame_id")
+    errors = errors_of(data, "Bar", "PN")
     mean = cells_of(report, source="ours", table="II", model="PN", statistic="mean", quantity="translation")
     assert mean["value"].tolist() == [pytest.approx(errors["raw_position_m"].mean())]
     assert set(cells_of(report, source="ours", table="IV")["method"]) == set(methods)
@@ -510,12 +460,11 @@ def test_without_vio_nothing_is_fused_and_the_report_says_so_once(
     said = " ".join(capsys.readouterr().err.split())
     assert said.count("no VIO: nothing is fused, and every model stands alone") == 1
     assert said.count(", alone: median") == 3
-    page = (report / "page.html").read_text()
+    page = page_of(report)
     assert page.count('id="alone"') == 1 and "No VIO: nothing is fused" in page
     for absent in ("PN+VIO", "VIO drift", "same frames", "What a user sees", "Fusion", "Only optimised", "no pose"):
         assert absent not in page, absent
-    errors = table_of(data, "Hall", "fuse", "errors")
-    pn = errors[(errors["split"] == "test") & (errors["model"] == "PN")]
+    pn = errors_of(data, "Hall", "PN", "raw")
     for table, row in (("II", "rp+opt"), ("IV", "all")):
         cells = cells_of(report, source="ours", table=table, model="PN", statistic="median", quantity="translation")
         of_row = cells[cells["row"] == row]
@@ -525,19 +474,17 @@ def test_without_vio_nothing_is_fused_and_the_report_says_so_once(
     table2 = (report / "tables" / "table2.md").read_text()
     assert "All test frames" in table2 and table2.count("no VIO") == 1
     findings = pd.read_parquet(report / "checks.parquet")
-    scored = findings[(findings["check"] == "all_scored") & (findings["source"] == "ours")]
+    scored = findings[findings["check"] == "all_scored"]
     assert len(scored) == 3 and (scored["status"] == "agrees").all()
 
 
 @pytest.mark.usefixtures("blank_figures")
 def test_no_path_is_walked_where_none_is_known(make_run: MakeRun) -> None:
     data = make_run(Bar={"train": 12, "test": 8})
-    folder = data.run("tiny", "Bar", "import")
     sessions = table_of(data, "Bar", "import", "sessions")
     for known, path_m in (("4 sessions, 440 m walked", sessions["path_m"]), ("4 sessions", np.nan)):
-        write_table(folder / "sessions.parquet", sessions.assign(path_m=path_m), schema("import", "sessions"))
-        write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})
-        page = (execute(STAGE, "Bar", "tiny", data) / "page.html").read_text()
+        rewrite(data, "Bar", "import", "sessions", sessions.assign(path_m=path_m))
+        page = page_of(execute(STAGE, "Bar", "tiny", data))
         assert f"<small>{known}; made up</small>" in page
 
 
@@ -545,11 +492,9 @@ def test_no_path_is_walked_where_none_is_known(make_run: MakeRun) -> None:
 def test_walks_without_vio_beside_others_are_scored_alone(make_run: MakeRun) -> None:
     data = make_run(Hall={"without_vio": ("walk_2", "walk_4")})
     report = execute(STAGE, "Hall", "tiny", data)
-    page = (report / "page.html").read_text()
+    page = page_of(report)
     assert "No VIO in walk_4: nothing is fused there" in page
-    errors = table_of(data, "Hall", "fuse", "errors")
-    pn = errors[(errors["split"] == "test") & (errors["model"] == "PN")]
-    raw = pn[pn["method"] == "raw"]
+    raw = errors_of(data, "Hall", "PN", "raw")
 
     def medians(**keys: str) -> list[float]:
         found = cells_of(report, source="ours", model="PN", method="raw", statistic="median", **keys)
@@ -560,33 +505,27 @@ def test_walks_without_vio_beside_others_are_scored_alone(make_run: MakeRun) -> 
     fusible = raw[raw["session_id"] == "walk_3"]
     assert medians(table="IV", row="all") == [pytest.approx(fusible["raw_position_m"].median())]
     findings = pd.read_parquet(report / "checks.parquet")
-    scored = findings[(findings["check"] == "all_scored") & (findings["source"] == "ours")]
+    scored = findings[findings["check"] == "all_scored"]
     assert len(scored) == 6 and (scored["status"] == "agrees").all()
 
 
 @pytest.mark.usefixtures("blank_figures")
 @pytest.mark.parametrize(
     ("ahead", "headline"),
-    [
-        ("paper_rule", ["PN, alone", "PN+VIO"]),
-        ("raw", ["PN, alone"]),
-        ("smoother", ["PN, alone", "PN+smoother"]),
-    ],
+    [("paper_rule", ["PN, alone", "PN+VIO"]), ("raw", ["PN, alone"]), ("smoother", ["PN, alone", "PN+smoother"])],
 )
 def test_the_headline_has_what_is_ahead_on_held_out_frames_and_by_how_many(
     make_run: MakeRun, ahead: str, headline: list[str]
 ) -> None:
     data = make_run(Bar={"train": 12, "test": 8})
-    folder = data.run("tiny", "Bar", "fuse")
     figures = {"frames": 4, "coverage_pct": 100.0, "position_mean_m": 1.0, "rotation_mean_deg": 2.0}
     rows = [
         {"method": name, "model": model, "scene": "Bar", "ahead": name == ahead} | figures
         for model in ("PN", "MS-T")
         for name in ("raw", "paper_rule", "smoother")
     ]
-    write_table(folder / "validation.parquet", pd.DataFrame(rows), schema("fuse", "validation"))
-    write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})
-    page = (execute(STAGE, "Bar", "tiny", data) / "page.html").read_text()
+    rewrite(data, "Bar", "fuse", "validation", pd.DataFrame(rows))
+    page = page_of(execute(STAGE, "Bar", "tiny", data))
     names = [row[0] for row in rows_of(data.run("tiny", "Bar", "report"), "headline-Bar")]
     assert [name for name in names if name.startswith("PN")] == headline
     assert "Methods were chosen by 4 frames held out of training" in page
@@ -596,16 +535,10 @@ def test_the_headline_has_what_is_ahead_on_held_out_frames_and_by_how_many(
 def test_bad_input_is_a_clear_error(make_run: MakeRun) -> None:
     data = make_run(Bar={"train": 12, "test": 6})
     errors = table_of(data, "Bar", "fuse", "errors")
-    folder = data.run("tiny", "Bar", "fuse")
-
-    def rewrite(table: pd.DataFrame) -> None:
-        write_table(folder / "errors.parquet", table, schema("fuse", "errors"))
-        write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})
-
-    rewrite(errors[errors["split"] != "test"])
+    rewrite(data, "Bar", "fuse", "errors", errors[errors["split"] != "test"])
     with pytest.raises(UserError, match="no test frame with ground truth"):
         execute(STAGE, "Bar", "tiny", data)
-    rewrite(errors)
+    rewrite(data, "Bar", "fuse", "errors", errors)
     for image in data.captures("Bar").rglob("*.jpg"):
         image.write_bytes(b"not a picture")
     with pytest.raises(UserError, match="an image can't be read"):

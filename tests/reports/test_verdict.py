@@ -16,13 +16,13 @@ from groundwalk.geometry.poses import make_pose, yaw_rotation
 from groundwalk.reports import stage
 from groundwalk.reports.definition import STAGE
 from groundwalk.store.files import read_json, write_json
-from groundwalk.store.manifests import load_manifest, output_hashes
+from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.stage import execute
 from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
 from tests.known import cells as values
-from tests.reports.test_stage import rows_of
+from tests.reports.made_up_scenes import page_of, rewrite, rows_of, table_of
 
 MakeRun = Callable[..., DataRoot]
 LATER = ("localise", "train", "fuse")
@@ -32,23 +32,13 @@ LATER = ("localise", "train", "fuse")
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes most of a small report's time."""
     parts: dict[str, list[object]] = {part: [] for part in ("drift", "training", "errors")}
-    monkeypatch.setattr(stage, "scene_figures", lambda scene: parts)
-
-
-def rewrite(data: DataRoot, scene: str, stage: str, table: str, content: pd.DataFrame) -> None:
-    folder = data.run("tiny", scene, stage)
-    write_table(folder / f"{table}.parquet", content, schema(stage, table))
-    write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})
-
-
-def table_of(data: DataRoot, scene: str, stage: str, table: str) -> pd.DataFrame:
-    return read_table(data.run("tiny", scene, stage) / f"{table}.parquet", schema(stage, table))
+    monkeypatch.setattr(stage, "scene_figures", lambda scene, folder: parts)
 
 
 def judged(data: DataRoot, scene: str) -> tuple[str, dict]:
     """The page, and verdict.json."""
     folder = execute(STAGE, scene, "tiny", data)
-    return (folder / "page.html").read_text(encoding="utf-8"), json.loads((folder / "verdict.json").read_text())
+    return page_of(folder), json.loads((folder / "verdict.json").read_text())
 
 
 def test_the_page_grows_with_the_stages_that_are_finished(make_run: MakeRun) -> None:
@@ -101,12 +91,8 @@ def test_uncertain_scale_or_too_few_sure_frames_leave_it_undecided(make_run: Mak
     rewrite(data, "Lane", "align", "checks", pd.concat([checks, scale]))
     _, verdict = judged(data, "Lane")
     assert verdict["verdict"] == "undecided" and "scale: 2.8 % (limit 2 %)" in verdict["why"]
-    assert {
-        "what": "check map_scale undecided",
-        "count": 10,
-        "why": scale["reason"].iloc[0],
-        "do": "a longer walk",
-    } in (verdict["problems"])
+    problem = {"what": "check map_scale undecided", "count": 10, "why": scale["reason"].iloc[0], "do": "a longer walk"}
+    assert problem in verdict["problems"]
 
 
 def test_of_a_map_of_images_alone_no_sigma_is_said(make_run: MakeRun) -> None:

@@ -20,7 +20,7 @@ from groundwalk.training.models.point_renderer import PointRenderer
 from groundwalk.training.models.regressor import MapPoints
 from groundwalk.training.poses import PoseBatch, log_quaternion
 from groundwalk.training.regressor_settings import DFNetSettings
-from tests.synthetic_walks import filled
+from tests.known import filled
 
 RED, GREEN = [1.0, 0, 0], [0, 1.0, 0]
 AHEAD = torch.tensor([[0.0, 0, 0, 1]])
@@ -116,9 +116,9 @@ def test_the_stage_gives_it_the_map(make_scene: Callable[..., Path]) -> None:
     folder.mkdir()
     truth = pd.read_parquet(folder.parent / "align" / "ground_truth.parquet")
     poses = {name.replace("map", "sfm"): truth[name] for name in truth.columns if name.startswith("map_cam_")}
-    xyz = np.random.default_rng(0).normal(size=(30, 3))
-    cloud = filled(pd.DataFrame(xyz, columns=list("xyz")), "sfm", "points", model_id="0", r=200)
-    images = filled(truth[["frame_id"]].assign(**poses), "sfm", "images", model_id="0")
+    xyz = dict(zip("xyz", np.random.default_rng(0).normal(size=(30, 3)).T, strict=True))
+    cloud = filled("sfm", "points", 30, **xyz, model_id="0", r=200)
+    images = filled("sfm", "images", len(truth), frame_id=truth["frame_id"], **poses, model_id="0")
     for name, table in (("images", images), ("points", cloud)):
         write_table(folder / f"{name}.parquet", table, schema("sfm", name))
     (folder / MANIFEST).write_text("{}", encoding="utf-8")
