@@ -13,8 +13,7 @@ from groundwalk.geometry import Array
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.hints import run_command, scene_file, setting_of
 from groundwalk.store.images import image_file, verify_images
-from groundwalk.store.inputs import missing_input
-from groundwalk.store.manifests import MANIFEST, load_verified
+from groundwalk.store.manifests import MANIFEST, load_verified, missing_stage
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import dataset_frames, poses_of, read_table, with_cameras, with_gravity_of_map
 from groundwalk.training.build import Trained, load_trained
@@ -120,5 +119,5 @@ def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> 
 def _finished(data: DataRoot, profile: str, scene: str, stage: str) -> Path:
     folder = data.run(profile, scene, stage)
     if not (folder / MANIFEST).is_file():
-        raise missing_input(stage, folder, scene)
+        raise missing_stage(folder, stage, scene)
     return folder

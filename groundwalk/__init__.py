@@ -42,14 +42,7 @@ def runs(data: str | PathLike[str] = "data") -> "pd.DataFrame":
     from groundwalk.store.settings import DataRoot
 
     rows = [
-        (
-            *run.name,
-            any(m["simulated"] for m in run.manifests.values()),
-            run.finished,
-            run.outdated,
-            run.verdict.get("verdict"),
-            run.folder,
-        )
+        (*run.name, run.simulated, run.finished, run.outdated, run.verdict.get("verdict"), run.folder)
         for run in runs_in(DataRoot(Path(data)))
     ]
     return pd.DataFrame(rows, columns=["scene", "profile", "simulated", "stages", "outdated", "verdict", "folder"])

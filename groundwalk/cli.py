@@ -41,20 +41,16 @@ class Command:
         if not for_completion:
             stage = self.stage()
             shown = {"help": stage.help, "epilog": settings_help(self.name, stage.settings)}
-        app.command(self.name, **shown)(stage_command(self.name, self.stage, _write_index))
+
+        def write_index(data: DataRoot) -> None:
+            import_module("groundwalk.reports.runs_index").write_index(data)
+
+        app.command(self.name, **shown)(stage_command(self.name, self.stage, write_index))
         return get_command(app)
 
     def stage(self) -> Any:
         """The stage that a stage's command runs."""
         return import_module(f"groundwalk.{self.module}").STAGE
-
-
-def _write_index(data: DataRoot) -> None:
-    import_module("groundwalk.reports.runs_index").write_index(data)
-
-
-def _stage(name: str, package: str, help_text: str) -> Command:
-    return Command(name, help_text, f"{package}.definition", is_stage=True)
 
 
 COMMANDS = {
@@ -66,24 +62,22 @@ COMMANDS = {
         Command("remove", "Take a recording out of a ground truth.", "adding", "remove"),
         Command("compare", "Compare runs: settings, and figures beyond noise.", "commands", "compare"),
         Command("scenes", "List scenes, profiles and finished stages.", "commands", "scenes"),
-        Command(
-            "link-captures",
-            "Use a folder of phone captures as a scene.",
-            "store.__main__",
-            "link-captures",
-        ),
+        Command("link-captures", "Use a folder of phone captures as a scene.", "store.__main__", "link-captures"),
         Command("simulate", "Simulate captures of a scene that has none.", "simulation.__main__"),
         Command("view", "Open a scene's recordings in the Rerun viewer.", "store.__main__", "view"),
         Command("clean", "Remove a scene's results and simulated captures.", "store.__main__", "clean"),
     ],
     "Stages": [
-        _stage("import", "capture_import", "Import phone captures as checked frames with VIO poses."),
-        _stage("sfm", "sfm", "Structure from motion with COLMAP."),
-        _stage("align", "alignment", "Make metric, gravity-aligned ground truth; measure VIO drift."),
-        _stage("localise", "localisation", "Build maps of points; localise every query frame."),
-        _stage("train", "training", "Train absolute pose regressors; predict every frame's pose."),
-        _stage("fuse", "fusion", "Fuse predictions with VIO; measure pose errors."),
-        _stage("report", "reports", "Make tables, figures and one page."),
+        Command(name, help_text, f"{package}.definition", is_stage=True)
+        for name, package, help_text in (
+            ("import", "capture_import", "Import phone captures as checked frames with VIO poses."),
+            ("sfm", "sfm", "Structure from motion with COLMAP."),
+            ("align", "alignment", "Make metric, gravity-aligned ground truth; measure VIO drift."),
+            ("localise", "localisation", "Build maps of points; localise every query frame."),
+            ("train", "training", "Train absolute pose regressors; predict every frame's pose."),
+            ("fuse", "fusion", "Fuse predictions with VIO; measure pose errors."),
+            ("report", "reports", "Make tables, figures and one page."),
+        )
     ],
     "Captures, exports and checks": [
         Command("inspect", "Show what a capture holds, without import.", "capture_import.__main__", "inspect"),

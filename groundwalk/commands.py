@@ -95,16 +95,15 @@ def judge(
         name += "-capture"
     progress.console.print(f"judging {folder}; all that is made lies below {out}")
     report, unread = root.run(_JUDGED_IN, name, "report"), partial_folder(root.run(_JUDGED_IN, name, "import"))
-    try:
-        if folder.is_dir():
-            _refuse_empty(folder)
-    except UserError as error:
-        _write_unreadable(out, title, {"what": error.what, **error.details})
-        raise
-    if folder.is_dir():
+    if not folder.is_dir():
+        _place(folder, root.captures(name))
+    elif capture_files(folder):
         link_captures(name, folder, root.root)
     else:
-        _place(folder, root.captures(name))
+        expected = "a folder of phone captures, photos or videos"
+        empty = UserError("the folder is empty", where=folder, expected=expected)
+        _write_unreadable(out, title, {"what": empty.what, **empty.details})
+        raise empty
     try:
         run_steps(steps(root, _JUDGED_IN, name, "align"), _JUDGED_IN, root)
     except Reported as refused:
@@ -114,11 +113,10 @@ def judge(
         if stopped.code == USER_ERROR and (why := read_json(unread / STOPPED)):
             _write_unreadable(out, title, why)
         raise
-    for file in ("page.html", VERDICT):
-        shutil.copyfile(report / file, out / file)
-    verdict = read_json(out / VERDICT)
+    verdict = read_json(report / VERDICT)
     progress.stdout.print(f"{verdict['verdict']}: {verdict['why']}")
     for file in ("page.html", VERDICT):
+        shutil.copyfile(report / file, out / file)
         progress.stdout.print(str(out / file))
     raise typer.Exit(_EXIT[verdict["verdict"]])
 
@@ -136,7 +134,11 @@ def compare(
     """Compare runs with the first of them: what was done differently, and which figures differ by more than noise."""
     from groundwalk.reports.comparison import comparison_page, differences
 
-    limit = _percent(fail_if_worse)
+    try:
+        limit = float(fail_if_worse.removesuffix("%")) if fail_if_worse else None
+    except ValueError:
+        expected = "a number, as in --fail-if-worse 5%"
+        raise UserError("this is no percentage", found=fail_if_worse, expected=expected) from None
     compared = [_compared(run, profile, data) for run in runs]
     if len(compared) < 2:
         raise UserError("one run can't be compared", found=runs[0], do="name two runs or more")
@@ -148,24 +150,13 @@ def compare(
         path.write_text(comparison_page(compared, found, Path(folder)), encoding="utf-8")
     for difference in found:
         if difference.is_clear:
-            word = "worse" if difference.is_worse else "better"
-            change = f"{difference.before:.4g} → {difference.after:.4g}"
-            progress.stdout.print(f"{word}: {difference.run}: {difference.subject}: {difference.figure}: {change}")
-    progress.stdout.print(
-        f"{sum(not d.is_clear for d in found)} of {len(found)} figures don't differ by more than noise"
-    )
+            told = f"{difference.verdict}: {difference.run}: {difference.subject}: {difference.figure}"
+            progress.stdout.print(f"{told}: {difference.before:.4g} → {difference.after:.4g}")
+    alike = sum(not difference.is_clear for difference in found)
+    progress.stdout.print(f"{alike} of {len(found)} figures don't differ by more than noise")
     progress.stdout.print(str(out))
     if limit is not None and any(difference.is_worse_by(limit) for difference in found):
         raise typer.Exit(1)
-
-
-def _percent(text: str) -> float | None:
-    if not text:
-        return None
-    try:
-        return float(text.removesuffix("%"))
-    except ValueError:
-        raise UserError("this is no percentage", found=text, expected="a number, as in --fail-if-worse 5%") from None
 
 
 def _compared(name: str, profile: str, data: Path) -> "ComparedRun":
@@ -212,12 +203,6 @@ def _place(file: Path, captures: Path) -> None:
         shutil.copyfile(file, captures / file.name)
 
 
-def _refuse_empty(folder: Path) -> None:
-    """UserError for a folder with nothing in it."""
-    if not capture_files(folder):
-        raise UserError("the folder is empty", where=folder, expected="a folder of phone captures, photos or videos")
-
-
 @app.command()
 def scenes(data: DataOption = Path("data")) -> None:
     """List profiles, and scenes with their captures and the stages that are finished.
@@ -243,7 +228,11 @@ def scenes(data: DataOption = Path("data")) -> None:
     console.print()
     table = Table("scene", "captures", "finished stages", box=None, pad_edge=False)
     for name in root.scenes():
-        table.add_row(*map(printable, (name, of(name, _captures), "; ".join(_finished(root, name)))))
+        finished = (
+            f"{run.name[1]}: {', '.join(f'{s} (outdated)' if s in run.outdated else s for s in run.finished)}"
+            for run in runs_in(root, name)
+        )
+        table.add_row(*map(printable, (name, of(name, _captures), "; ".join(finished))))
     console.print(table)
     for number, fault in enumerate(faults, start=1):
         console.print(f"\n({number}) {fault}", soft_wrap=True)
@@ -269,8 +258,3 @@ def _captures(data: DataRoot, scene: str) -> str:
     if files := capture_files(folder):
         return "simulated" if are_simulated(files) else "real"
     return "none, can be simulated" if config.can_simulate else "none"
-
-
-def _finished(data: DataRoot, scene: str) -> list[str]:
-    """`<profile>: <stages>` of each profile that the scene was run with."""
-    return [f"{run.folder.parent.name}: {', '.join(run.stages())}" for run in runs_in(data, scene)]

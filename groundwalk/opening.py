@@ -4,11 +4,11 @@ import os
 from pathlib import Path
 from typing import Any
 
-from groundwalk.run import Run, not_finished
+from groundwalk.run import Run
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import read_json
 from groundwalk.store.hints import run_command
-from groundwalk.store.manifests import MANIFEST, is_manifest, outdated_stages
+from groundwalk.store.manifests import MANIFEST, is_manifest, missing_stage, outdated_stages
 from groundwalk.store.settings import STAGES, DataRoot, is_name
 from groundwalk.store.text import name_list
 
@@ -31,7 +31,7 @@ def _run(folder: Path, data: DataRoot) -> Run:
     manifests = _manifests(folder)
     if not manifests:
         if any(folder.glob(".*.partial")):
-            raise not_finished(folder, STAGES[0], folder.name)
+            raise missing_stage(folder / STAGES[0], STAGES[0], folder.name)
         raise _foreign(folder)
     scene = str(next(iter(manifests.values()))["scene"].get("name"))
     captures = data.captures(scene)
@@ -46,7 +46,9 @@ def _manifests(folder: Path) -> dict[str, dict[str, Any]]:
         if not file.is_file():
             continue
         content = read_json(file)
-        if not _is_of(content, stage):
+        types = {"profile": str, "scene": dict, "inputs": dict}
+        has_types = all(isinstance(content.get(name), type_) for name, type_ in types.items())
+        if not (is_manifest(content) and has_types and content.get("stage") == stage):
             raise UserError(
                 "a stage's manifest is damaged, or of another program",
                 where=file,
@@ -55,12 +57,6 @@ def _manifests(folder: Path) -> dict[str, dict[str, Any]]:
             )
         manifests[stage] = content
     return manifests
-
-
-def _is_of(content: dict[str, Any], stage: str) -> bool:
-    types = {"profile": str, "scene": dict, "inputs": dict}
-    has_types = all(isinstance(content.get(name), type_) for name, type_ in types.items())
-    return is_manifest(content) and has_types and content.get("stage") == stage
 
 
 def _no_run(data: DataRoot, profile: str, scene: str) -> UserError:

@@ -5,7 +5,6 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 from groundwalk.cli import stage_of
 from groundwalk.simulation.existing import is_up_to_date as captures_are_up_to_date
@@ -24,16 +23,7 @@ USER_ERROR = 2  # the exit status of a command that a user can do something abou
 _REPORT = STAGES[-1]
 _SHOWN_AT_ONCE = ("align", "localise", "train")
 """Stages after which the report is written, though more follow: what they found needn't wait for hours of training."""
-_DEMO_S = {
-    "simulate": 160,
-    "import": 15,
-    "sfm": 212,
-    "align": 20,
-    "localise": 89,
-    "train": 604,
-    "fuse": 45,
-    "report": 36,
-}
+_DEMO_S = dict(zip(("simulate", *STAGES), (160, 15, 212, 20, 89, 604, 45, 36), strict=True))
 """Seconds of each command of simulated Church in profile demo on two cores, until a run has measured them here."""
 
 
@@ -65,15 +55,10 @@ def steps(data: DataRoot, profile: str, scene: str, until: str = STAGES[-1]) -> 
         data.leaves(config)
         members = [step for member in config.members for step in steps(data, profile, member, until)]
         return [*dict.fromkeys(members), *(Step(stage, scene) for stage in wanted if stage in config.stages)]
-    simulated = config.can_simulate and _may_simulate(data.captures(scene), profile)
-    return [Step(command, scene) for command in (*(["simulate"] if simulated else []), *wanted)]
-
-
-def _may_simulate(captures: Path, profile: str) -> bool:
-    """Whether no captures are there but those that were simulated for this profile. Those that were simulated for
-    another profile are used as they are, as profiles share captures."""
-    marker = marker_of(captures)
-    return marker.get("profile") == profile if marker else not capture_files(captures)
+    # Captures that were simulated for another profile are used as they are, as profiles share captures.
+    marker = marker_of(data.captures(scene))
+    may_simulate = marker.get("profile") == profile if marker else not capture_files(data.captures(scene))
+    return [Step(name, scene) for name in (*(["simulate"] if config.can_simulate and may_simulate else []), *wanted)]
 
 
 def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
@@ -85,7 +70,11 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
     """
     for step in commands:
         check(step, Step("simulate", step.scene) in commands, profile, data)
-    usual_s = {step: _usual_seconds(step, Step("simulate", step.scene) in commands, profile, data) for step in commands}
+    usual_s: dict[Step, float | None] = {}
+    for step in commands:
+        last = read_json(data.run(profile, step.scene, step.command) / MANIFEST).get("total_seconds")
+        is_demo = profile == "demo" and Step("simulate", step.scene) in commands
+        usual_s[step] = last if isinstance(last, float | int) else _DEMO_S[step.command] if is_demo else None
     took_s: dict[Step, float] = {}
     for step, following in zip(commands, [*commands[1:], None], strict=True):
         if is_step_up_to_date(step, profile, data):
@@ -105,16 +94,9 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
         took_s[step] = time.monotonic() - start
 
 
-def _usual_seconds(step: Step, is_simulated: bool, profile: str, data: DataRoot) -> float | None:
-    """What a command took the last time, or takes in a demo; None where neither is known."""
-    last = read_json(data.run(profile, step.scene, step.command) / MANIFEST).get("total_seconds")
-    if isinstance(last, float | int):
-        return float(last)
-    return _DEMO_S[step.command] if is_simulated and profile == "demo" else None
-
-
 def _how_far(step: Step, usual_s: dict[Step, float | None], took_s: dict[Step, float]) -> str:
-    """Which stage begins, and how long all that is ahead takes, by how quick those before were this time."""
+    """Which stage begins, and how long all that is ahead takes, by how quick those before were this time. `usual_s`:
+    what each took the last time, or takes in a demo; None where neither is known."""
     commands = list(usual_s)
     stages = [other for other in commands if other.command != "simulate"]
     text = f"stage {stages.index(step) + 1} of {len(stages)}" if step in stages else "captures first"

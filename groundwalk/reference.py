@@ -10,7 +10,7 @@ from typing import Any
 from groundwalk.alignment.checks.definitions import DEFINITIONS
 from groundwalk.alignment.control.settings import ControlSettings
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler
-from groundwalk.cli import COMMANDS, Command, all_commands
+from groundwalk.cli import COMMANDS, stages
 from groundwalk.fusion.methods import METHODS
 from groundwalk.localisation.localisers import LOCALISERS
 from groundwalk.simulation.settings import SimulateSettings
@@ -20,10 +20,12 @@ from groundwalk.store.errors import UserError
 from groundwalk.store.reference import reference as tables_page
 from groundwalk.store.registry import Registry
 from groundwalk.store.settings import SceneConfig, Settings, SplitRules
+from groundwalk.store.text import markdown_table
 from groundwalk.training.regressors import REGRESSORS
 
 RULERS: dict[str, type[Settings]] = {"charuco": CharucoRuler, "apriltag": AprilTagRuler, "distance": DistanceRuler}
 WRITTEN_BY = "This page is written by `make docs`."
+_SETTING = "setting | type and range | default | description"
 
 _SETTINGS_HEAD = f"""# Settings
 
@@ -61,8 +63,6 @@ Written by `make docs` from `simulation/vio_fit.toml`, which `python -m benchmar
 recordings; a test holds that the recordings still give it. Intervals are of 68 %; where one reaches 0, the value is its
 upper end, a bound. What the recordings are and how it is measured: [VIO drift](../explanation/vio-drift.md).
 
-| parameter | meaning | value | 68 % interval | unit | samples | source |
-|---|---|---|---|---|---|---|
 """
 
 
@@ -86,69 +86,65 @@ def reference_pages() -> dict[str, str]:
     """The generated pages by path in docs/."""
     return {
         "reference/tables.md": tables_page(),
-        "reference/settings.md": settings_page(),
-        "reference/commands.md": commands_page(),
-        "reference/checks.md": checks_page(),
-        "results/vio-drift.md": vio_drift_page(),
+        "reference/settings.md": _SETTINGS_HEAD + "".join(f"\n## {a}\n\n{b}\n\n{c}" for a, b, c in _sections()),
+        "reference/commands.md": _COMMANDS_HEAD + "".join(_commands()),
+        "reference/checks.md": _CHECKS_HEAD + "".join(_checks()),
+        "results/vio-drift.md": _DRIFT_HEAD + _vio_drift(),
     }
 
 
-def vio_drift_page() -> str:
+def _vio_drift() -> str:
     """What was measured of the drift of phones' VIO, from the committed fit."""
-    fit = tomllib.loads(FIT_FILE.read_text(encoding="utf-8"))
-    rows = [_DRIFT_HEAD]
+    fit, rows = tomllib.loads(FIT_FILE.read_text(encoding="utf-8")), []
     for field in dataclasses.fields(VioModel):
         p = fit[field.name]
         interval = f"{p['low']} to {p['high']}" if p["low"] < p["high"] else ""
-        cells = [f"`{field.name}`", _cell(field.metadata["meaning"]), str(p["value"]), interval, p["unit"]]
-        rows.append(f"| {' | '.join(cells)} | {p['samples']} | {_cell(p['source'])} |\n")
-    return "".join(rows)
+        told = (_cell(field.metadata["meaning"]), p["value"], interval, p["unit"], p["samples"], _cell(p["source"]))
+        rows.append([f"`{field.name}`", *told])
+    return markdown_table("parameter | meaning | value | 68 % interval | unit | samples | source", rows)
 
 
-def settings_page() -> str:
-    """Every setting with its type, range, default and description."""
-    return _SETTINGS_HEAD + "".join(f"\n## {title}\n\n{text}\n\n{table}" for title, text, table in _sections())
-
-
-def commands_page() -> str:
+def _commands() -> Iterator[str]:
     """Every command of `groundwalk` with its arguments and options."""
-    parts = [_COMMANDS_HEAD]
     for panel, commands in COMMANDS.items():
-        parts.append(f"\n## {panel}\n")
-        parts += [_command(command) for command in commands]
-    return "".join(parts)
+        yield f"\n## {panel}\n"
+        for command in commands:
+            loaded = command.load()
+            # The help of a group is its stage's, with all settings.
+            is_group = hasattr(loaded, "commands")
+            text = command.stage().help if command.is_stage else command.help if is_group else loaded.help
+            yield f"\n### groundwalk {command.name}\n\n{_cell(text or command.help)}\n"
+            if command.is_stage:
+                yield f"\nSettings: [`[{command.name}]`](settings.md#{command.name}).\n"
+            options = map(_option, (parameter for parameter in loaded.params if not parameter.hidden))
+            yield "\n" + markdown_table("option | type | default | what it does", options)
 
 
-def checks_page() -> str:
+def _checks() -> Iterator[str]:
     """Every check of align with what it estimates and what to do, and the causes in their order."""
-    parts = [_CHECKS_HEAD, "\n## Checks\n\n| check | estimates | unit | where it failed | what would decide it |\n"]
-    parts.append("|---|---|---|---|---|\n")
-    for name, check in DEFINITIONS.items():
-        cells = " | ".join(_cell(text) for text in (check.estimate, check.unit, check.remedy, check.evidence))
-        parts.append(f"| `{name}` | {cells} |\n")
-    parts.append(
-        "\n## Causes\n\nWhat a failure says is wrong, column `cause`. The first in this order names the run.\n\n"
+    rows = (
+        [f"`{name}`", *map(_cell, (check.estimate, check.unit, check.remedy, check.evidence))]
+        for name, check in DEFINITIONS.items()
     )
-    parts += [f"{number}. {_cell(str(cause))}\n" for number, cause in enumerate(FailureCause, 1)]
-    return "".join(parts)
+    yield "\n## Checks\n\n" + markdown_table("check | estimates | unit | where it failed | what would decide it", rows)
+    yield "\n## Causes\n\nWhat a failure says is wrong, column `cause`. The first in this order names the run.\n\n"
+    yield from (f"{number}. {_cell(str(cause))}\n" for number, cause in enumerate(FailureCause, 1))
 
 
 def _sections() -> Iterator[tuple[str, str, str]]:
     """Title, introduction and table of each section of settings."""
-    yield "A scene's file", "At the top of `data/scenes/<scene>.toml`.", _table(SceneConfig, {"name", "split"})
-    yield "[split]", "In a scene's file: which sessions train and which test.", _table(SplitRules)
-    yield "[simulate]", "How a scene's captures are simulated.", _table(SimulateSettings)
-    for command in all_commands():
-        if not command.is_stage:
-            continue
-        stage = command.stage()
-        yield f"[{stage.name}]", stage.help, _table(stage.settings)
+    yield "A scene's file", "At the top of `data/scenes/<scene>.toml`.", _settings(SceneConfig, {"name", "split"})
+    yield "[split]", "In a scene's file: which sessions train and which test.", _settings(SplitRules)
+    yield "[simulate]", "How a scene's captures are simulated.", _settings(SimulateSettings)
+    for stage in stages():
+        yield f"[{stage.name}]", stage.help, _settings(stage.settings)
         if stage.name == "align":
             for kind, model in RULERS.items():
-                text = f"{_first_line(model)} In a scene's file, any number of these: [rulers](../how-to/ruler.md)."
-                yield f'[[ruler]] of kind "{kind}"', text, _table(model, {"kind"})
+                (text, *_) = (model.__doc__ or "").strip().splitlines()
+                text += " In a scene's file, any number of these: [rulers](../how-to/ruler.md)."
+                yield f'[[ruler]] of kind "{kind}"', text, _settings(model, {"kind"})
             text = "In a scene's file, any number of these: [control points](../how-to/control-points.md)."
-            yield "[[control]]", text, _table(ControlSettings)
+            yield "[[control]]", text, _settings(ControlSettings)
         if stage.name == "localise":
             yield _of_entries("localise.localisers", LOCALISERS, "settings")
         if stage.name == "train":
@@ -162,44 +158,38 @@ def _of_entries(section: str, registry: Registry[Any], attribute: str) -> tuple[
     models = {entry_id: getattr(registry[entry_id], attribute) for entry_id in registry.builtin}
     rows: dict[tuple[str, str, str], dict[str, list[str]]] = {}
     for entry_id, model in models.items():
-        schema = model.model_json_schema()
-        for name, kind, default, text in _rows(model, schema, schema.get("$defs", {}), ""):
+        for name, kind, default, text in _rows(model, ""):
             rows.setdefault((name, kind, text), {}).setdefault(default or "none", []).append(entry_id)
     listed = "\n".join(f"- `{entry_id}`: {_cell(registry[entry_id].meaning)}" for entry_id in models)
-    table = "| setting | type and range | default | description |\n|---|---|---|---|\n"
+    lines = []
     for (name, kind, text), defaults in rows.items():
         owners = [entry_id for ids in defaults.values() for entry_id in ids]
         # The default of most is said without names where every entry has the setting.
         common = max(defaults, key=lambda default: len(defaults[default])) if len(owners) == len(models) > 1 else None
         others = [f"{', '.join(ids)}: {default}" for default, ids in defaults.items() if default != common]
-        table += f"| `{name}` | {kind} | {'; '.join(filter(None, [common, *others]))} | {_cell(text)} |\n"
-    return f"[{section}.<name>]", f"`<name>` is one of these:\n\n{listed}", table if rows else "None has settings.\n"
+        lines.append([f"`{name}`", kind, "; ".join(filter(None, [common, *others])), _cell(text)])
+    table = markdown_table(_SETTING, lines) if lines else "None has settings.\n"
+    return f"[{section}.<name>]", f"`<name>` is one of these:\n\n{listed}", table
 
 
-def _first_line(model: type[Settings]) -> str:
-    return (model.__doc__ or "").strip().splitlines()[0]
+def _settings(model: type[Settings], without: Collection[str] = ()) -> str:
+    rows = [row for row in _rows(model, "") if row[0].split(".")[0] not in without]
+    lines = ([f"`{name}`", kind, default, _cell(text)] for name, kind, default, text in rows)
+    return markdown_table(_SETTING, lines) if rows else "It has no settings.\n"
 
 
-def _table(model: type[Settings], without: Collection[str] = ()) -> str:
-    schema = model.model_json_schema()
-    rows = [row for row in _rows(model, schema, schema.get("$defs", {}), "") if row[0].split(".")[0] not in without]
-    if not rows:
-        return "It has no settings.\n"
-    head = "| setting | type and range | default | description |\n|---|---|---|---|\n"
-    return head + "".join(f"| `{n}` | {kind} | {default} | {_cell(text)} |\n" for n, kind, default, text in rows)
-
-
-def _rows(model: type[Settings], schema: Mapping[str, Any], defs: Mapping[str, Any], prefix: str) -> Iterator[Any]:
+def _rows(model: type[Settings], prefix: str) -> Iterator[tuple[str, str, str, str]]:
     """Name, type, default and description of each setting; a section inside gives a row for each of its own."""
+    schema = model.model_json_schema()
     for name, field in model.model_fields.items():
         value = field.get_default(call_default_factory=True) if not field.is_required() else None
         if isinstance(value, Settings):
-            inside = type(value).model_json_schema()
-            for row_name, kind, _, text in _rows(type(value), inside, inside.get("$defs", {}), f"{prefix}{name}."):
+            for row_name, kind, _, text in _rows(type(value), f"{prefix}{name}."):
                 yield row_name, kind, _value_text(getattr(value, row_name.rpartition(".")[2])), text
             continue
         default = "required" if field.is_required() else _value_text(value)
-        yield f"{prefix}{name}", _kind(schema["properties"][name], defs), default, field.description or ""
+        kind = _kind(schema["properties"][name], schema.get("$defs", {}))
+        yield f"{prefix}{name}", kind, default, field.description or ""
 
 
 def _kind(schema: Mapping[str, Any], defs: Mapping[str, Any]) -> str:
@@ -238,41 +228,19 @@ def _value_text(value: Any) -> str:
     return f"`{value}`"
 
 
-def _command(command: Command) -> str:
-    loaded = command.load()
-    # The help of a group is its stage's, with all settings.
-    is_group = hasattr(loaded, "commands")
-    text = command.stage().help if command.is_stage else command.help if is_group else loaded.help or command.help
-    lines = [f"\n### groundwalk {command.name}\n\n{_cell(text)}\n"]
-    if command.is_stage:
-        section = command.name
-        lines.append(f"\nSettings: [`[{section}]`](settings.md#{section}).\n")
-    rows = [_option(parameter) for parameter in loaded.params if not parameter.hidden]
-    lines.append("\n| option | type | default | what it does |\n|---|---|---|---|\n")
-    return "".join([*lines, *rows])
-
-
-def _option(parameter: Any) -> str:
-    flag = getattr(parameter, "is_flag", False)
-    annotation = parameter.type_descriptor.annotation
-    choices = [str(item.value) for item in annotation] if _is_enum(annotation) else []
-    kind = "" if flag else ", ".join(choices) or _KINDS.get(annotation, "text")
-    default = "" if flag else _option_default(parameter)
-    names = ", ".join(f"`{name}`" for name in parameter.opts)
-    return f"| {names} | {kind} | {default} | {_cell(parameter.help or '')} |\n"
-
-
-def _option_default(parameter: Any) -> str:
+def _option(parameter: Any) -> list[str]:
+    """An option's names, type, default and help."""
+    annotation, value = parameter.type_descriptor.annotation, parameter.default
+    is_enum = isinstance(annotation, type) and issubclass(annotation, Enum)
+    kind = ", ".join(str(item.value) for item in annotation) if is_enum else _KINDS.get(annotation, "text")
+    default = _value_text(str(value) if isinstance(value, Path) else value).replace('"', "") if value != "" else ""
     if parameter.required:
-        return "required"
-    if isinstance(parameter.show_default, str):
-        return parameter.show_default
-    default = parameter.default
-    return _value_text(str(default) if isinstance(default, Path) else default).replace('"', "") if default != "" else ""
-
-
-def _is_enum(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, Enum)
+        default = "required"
+    elif isinstance(parameter.show_default, str):
+        default = parameter.show_default
+    if getattr(parameter, "is_flag", False):
+        kind = default = ""
+    return [", ".join(f"`{name}`" for name in parameter.opts), kind, default, _cell(parameter.help or "")]
 
 
 _KINDS: dict[Any, str] = {int: "whole number", float: "number", Path: "path", list[str]: "text, repeatable"}

@@ -16,10 +16,10 @@ from scipy.spatial.transform import RigidTransform
 
 from groundwalk.geometry.poses import Array
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import partial_folder, read_json, sha256_of
+from groundwalk.store.files import read_json, sha256_of
 from groundwalk.store.hints import run_command, setting_of
 from groundwalk.store.images import Image, image_file, read_image
-from groundwalk.store.manifests import MANIFEST
+from groundwalk.store.manifests import MANIFEST, missing_stage
 from groundwalk.store.reference import column_lines
 from groundwalk.store.schemas import TableSchema, schema, stage_tables
 from groundwalk.store.settings import STAGES
@@ -106,9 +106,8 @@ class Run:
 
     def tables(self) -> pd.DataFrame:
         """The tables of the finished stages, one row each: stage, table, rows, meaning."""
-        found = [
-            (of, self.folder / stage / f"{of.name}.parquet") for stage in self.manifests for of in stage_tables(stage)
-        ]
+        schemas = (of for stage in self.manifests for of in stage_tables(stage))
+        found = ((of, self.folder / of.stage / f"{of.name}.parquet") for of in schemas)
         rows = [(of.stage, of.name, read_metadata(path).num_rows, of.meaning) for of, path in found if path.is_file()]
         return pd.DataFrame(rows, columns=["stage", "table", "rows", "meaning"])
 
@@ -182,11 +181,8 @@ class Run:
         from groundwalk.localisation.one_query import ask
         from groundwalk.runtime.queries import known_of, query_of
 
-        where = "intrinsics of groundwalk.Run.localise"
-        query = query_of(
-            image if isinstance(image, np.ndarray) else Path(image), known_of(intrinsics, gravity, prior), where
-        )
-        return ask(self._localiser(model), query)
+        source, known = image if isinstance(image, np.ndarray) else Path(image), known_of(intrinsics, gravity, prior)
+        return ask(self._localiser(model), query_of(source, known, "intrinsics of groundwalk.Run.localise"))
 
     @property
     @_with_columns("fuse", "poses")
@@ -274,13 +270,11 @@ class Run:
         files = dict(models.loc[models["file"] != "", ["model", "file"]].itertuples(index=False, name=None))
         name = model or next(iter(files), "")
         if name not in files:
-            file = f"scenes/{self.scene}.toml of the data folder"
+            where = setting_of("localise", "models", f"scenes/{self.scene}.toml of the data folder")
             raise UserError(
-                f"scene {self.scene} has no structure localiser {model!r} that is kept in a file"
-                if model
-                else f"scene {self.scene} has no structure localiser that is kept in a file",
+                f"scene {self.scene} has no structure localiser{f' {model!r}' if model else ''} that is kept in a file",
                 expected=f"one of {', '.join(files)}" if files else None,
-                do=f"name one that is, in {setting_of('localise', 'models', file)}",
+                do=f"name one that is, in {where}",
             )
         if name not in self._localisers:
             from groundwalk.localisation.locate import read_localiser
@@ -312,23 +306,13 @@ class Run:
                 f"{self.scene} is a group of scenes and has no stage {stage}",
                 expected=f"one of {', '.join(config['stages'])}, or one of its scenes: {', '.join(config['members'])}",
             )
-        raise not_finished(self.folder, stage, self.scene)
+        raise missing_stage(self.folder / stage, stage, self.scene)
 
     def _refuse_replaced(self, stage: str) -> None:
         if read_json(self.folder / stage / MANIFEST).get("outputs") != self.manifests[stage]["outputs"]:
             raise UserError(
                 f"stage {stage} was run again after this run was opened", where=self.folder / stage, do="open it again"
             )
-
-
-def not_finished(folder: Path, stage: str, scene: str) -> UserError:
-    """The error for a stage that was never run, or not to its end."""
-    begun = partial_folder(folder / stage).is_dir()
-    return UserError(
-        f"stage {stage} of scene {scene} {'has begun but not finished' if begun else 'has not been run'}",
-        where=folder / stage,
-        do=run_command(folder / stage),
-    )
 
 
 def pose_array(table: pd.DataFrame, group: str = "map_cam") -> Array:

@@ -1,6 +1,6 @@
 """A run in a few lines for people."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -61,14 +61,9 @@ def _ground_truth(truth: pd.DataFrame) -> Iterator[tuple[str, str]]:
     with_pose = truth[truth["map_cam_tx"].notna()]
     text = f"{len(with_pose)} of {len(truth)} frames{f' ({figures})' if figures else ''}"
     for what, column in (("scale", "scale_source"), ("vertical", "vertical_source")):
-        sources = with_pose[column].dropna().unique()
-        text += f"; {what} {_given(sources)}" if len(sources) else ""
+        if names := ", ".join(with_pose[column].dropna().unique()):
+            text += f"; {what} {'unknown' if names == 'none' else f'by {names}'}"
     yield "ground truth", text
-
-
-def _given(sources: Iterable[str]) -> str:
-    names = ", ".join(sources)
-    return "unknown" if names == "none" else f"by {names}"
 
 
 def _errors(table: pd.DataFrame, splits: str) -> Iterator[tuple[str, str]]:

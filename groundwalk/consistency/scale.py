@@ -55,7 +55,12 @@ def recording_scale(
     """
     parts = [part for part in parts if len(part.vio_T_cam) >= _MIN_FRAMES]
     total_m = sum(float(path_length(part.vio_T_cam[:, :3, 3])[-1]) for part in parts)
-    sfm, vio = _steps(parts, min(step_m, total_m / _MIN_STEPS))
+    # Steps (M, 3) of VIO's path, by SfM and by VIO.
+    steps = [np.empty((2, 0, 3))]
+    for part in parts:
+        a, b = path_steps(path_length(part.vio_T_cam[:, :3, 3]), min(step_m, total_m / _MIN_STEPS))
+        steps.append(np.stack([relative(T[a], T[b])[:, :3, 3] for T in (part.sfm_T_cam, part.vio_T_cam)]))
+    sfm, vio = np.concatenate(steps, axis=1)
     length, squared = np.linalg.norm(vio, axis=1), np.sum(sfm * sfm, axis=1)
     if np.any((squared == 0) & (length >= _COLLAPSED_M)):
         raise GeometryError(f"{np.count_nonzero(squared == 0)} of {len(squared)} steps have no length in SfM")
@@ -86,16 +91,6 @@ def recording_scale(
     if relative_sd > _MAX_SCALE_SD:
         return None
     return Scale(float(np.log(mean * median)), relative_sd, len(length))
-
-
-def _steps(parts: Sequence[TrajectoryPair], step_m: float) -> tuple[Array, Array]:
-    """Steps (M, 3) of `step_m` of VIO path, by SfM and by VIO."""
-    steps = [np.empty((2, 0, 3))]
-    for part in parts:
-        a, b = path_steps(path_length(part.vio_T_cam[:, :3, 3]), step_m)
-        steps.append(np.stack([relative(T[a], T[b])[:, :3, 3] for T in (part.sfm_T_cam, part.vio_T_cam)]))
-    sfm, vio = np.concatenate(steps, axis=1)
-    return sfm, vio
 
 
 def robust_mean(

@@ -101,11 +101,8 @@ def compare_windows(
     for inside in path_windows(travelled_m, window_m):
         _, metres, radians = fit_rigid(metric_T_cam[inside], vio_T_cam[inside], sd, tolerance=tolerance)
         length_m = travelled_m[inside[-1]] - travelled_m[inside[0]]
-        limits = _window_limit_m(drift, length_m), float(drift.radians(length_m))
+        growing_m = drift.m_per_m * length_m
+        limit_m = float(growing_m + min(drift.m, max(_MIN_CONSTANT_FRACTION * drift.m, growing_m)))
+        limits = limit_m, float(drift.radians(length_m))
         compared.append(WindowResiduals(inside, metres, radians, *limits, position_sd_m[inside], rotation_sd[inside]))
     return compared
-
-
-def _window_limit_m(drift: VioDrift, length_m: float) -> float:
-    growing_m = drift.m_per_m * length_m
-    return float(growing_m + min(drift.m, max(_MIN_CONSTANT_FRACTION * drift.m, growing_m)))

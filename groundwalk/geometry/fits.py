@@ -61,7 +61,8 @@ def fit_sim3(xyz_a: ArrayLike, xyz_b: ArrayLike, weights: ArrayLike | None = Non
     """
     a, b, w = _checked(xyz_a, xyz_b, weights, 2 if line_ok else 3)
     rotation, singular, mean_a, mean_b, spread_b = _procrustes(a, b, w)
-    _require_extent(singular, a, b)
+    if not singular[0] > _rounding(a, b):
+        raise GeometryError(f"{len(a)} points in one place determine no scale or rotation")
     if not line_ok:
         _require_rotation(singular)
     scale = float(singular.sum() / spread_b)
@@ -273,11 +274,6 @@ def _best_yaw(cross: Array) -> tuple[Array, float]:
     """The rotation about +y that maximises trace(R @ cross), and how much it gains over none at all."""
     sine, cosine = cross[2, 0] - cross[0, 2], cross[0, 0] + cross[2, 2]
     return yaw_rotation(np.arctan2(sine, cosine)), float(np.hypot(sine, cosine))
-
-
-def _require_extent(singular: Array, a: Array, b: Array) -> None:
-    if not singular[0] > _rounding(a, b):
-        raise GeometryError(f"{len(a)} points in one place determine no scale or rotation")
 
 
 def _require_rotation(singular: Array) -> None:

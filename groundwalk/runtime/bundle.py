@@ -12,14 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from groundwalk.geometry import Array
-from groundwalk.runtime.bundle_file import (
-    ERRORS,
-    FRAME,
-    GOLDEN,
-    PREPROCESSING,
-    read_manifest,
-    read_part,
-)
+from groundwalk.runtime.bundle_file import ERRORS, FRAME, GOLDEN, PREPROCESSING, read_manifest, read_part
 from groundwalk.runtime.preprocessing import Preprocessing
 from groundwalk.runtime.queries import Query, known_of, query_of
 from groundwalk.store.errors import UserError
@@ -90,7 +83,7 @@ class Bundle:
 
     @cached_property
     def errors(self) -> dict[str, Any]:
-        return self._optional(ERRORS)
+        return read_part(self.folder, ERRORS) if ERRORS in self.manifest["files"] else {}
 
     def predict(
         self,
@@ -156,9 +149,6 @@ class Bundle:
         for value, limit, unit in ((metres, limits["position_m"], "m"), (degrees, limits["rotation_deg"], "deg")):
             if not value <= limit:
                 raise _not_golden(f"network {self.network}", where, limit, value, unit)
-
-    def _optional(self, name: str) -> dict[str, Any]:
-        return read_part(self.folder, name) if name in self.manifest["files"] else {}
 
 
 def onnx_session(file: Path, threads: int | None) -> Any:

@@ -23,11 +23,10 @@ _TAIL_LINES = 15
 # A socket's name has at most 107 bytes, of which multiprocessing adds some 32 to the temporary folder's.
 _MAX_FOLDER_BYTES = 70
 # Processes are forked, from one that does nothing else. Elsewhere system libraries don't bear a fork.
-_CONTEXT: ForkServerContext | SpawnContext
-if sys.platform == "linux" and len(os.fsencode(tempfile.gettempdir())) <= _MAX_FOLDER_BYTES:
-    _CONTEXT = multiprocessing.get_context("forkserver")
-else:
-    _CONTEXT = multiprocessing.get_context("spawn")
+_FORKS = sys.platform == "linux" and len(os.fsencode(tempfile.gettempdir())) <= _MAX_FOLDER_BYTES
+_CONTEXT: ForkServerContext | SpawnContext = (
+    multiprocessing.get_context("forkserver") if _FORKS else multiprocessing.get_context("spawn")
+)
 
 
 class Report(Protocol):
@@ -129,12 +128,13 @@ def _receive(one: _Running, text: str, log: Path, remedy: str) -> None:
         kind, value = one.pipe.recv()
     except EOFError:
         one.process.join()
+        code = one.process.exitcode
         raise ProcessDied(
-            f"{text}: its process died ({_cause(one.process.exitcode)})",
+            f"{text}: its process died ({signal.Signals(-code).name if code and code < 0 else f'exit status {code}'})",
             where=log,
             found="its last lines:\n" + _tail(log),
             do=remedy,
-            exit_code=one.process.exitcode,
+            exit_code=code,
         ) from None
     if kind == "progress":
         one.done, one.note = value
@@ -170,12 +170,6 @@ def _end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def _cause(exit_code: int | None) -> str:
-    if exit_code is not None and exit_code < 0:
-        return signal.Signals(-exit_code).name
-    return f"exit status {exit_code}"
 
 
 def _tail(log: Path) -> str:

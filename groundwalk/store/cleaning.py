@@ -40,7 +40,9 @@ def clean_scene(data: DataRoot, profile: str, scene: str) -> Cleaned:
         )
     cleaned = Cleaned()
     through_link = runs.is_symlink() or runs.parent.is_symlink()
-    stages = [] if through_link else [runs / stage for stage in (*STAGES, CHANGE) if _leaves_traces(runs / stage)]
+    folders = [] if through_link else [runs / stage for stage in (*STAGES, CHANGE)]
+    traces = {folder: (folder, partial_folder(folder), old_folder(folder), lock_file(folder)) for folder in folders}
+    stages = [folder for folder in folders if any(map(os.path.lexists, traces[folder]))]
     with contextlib.ExitStack() as locks:
         for folder in (*stages, *([captures] if _are_simulators(captures) else [])):
             locks.enter_context(locked(folder))
@@ -64,10 +66,6 @@ def _are_simulators(captures: Path) -> bool:
     """Whether the simulator wrote a capture folder, or left one unfinished: real ones stay, whoever reads them."""
     hidden = map(_is_folder, (partial_folder(captures), old_folder(captures)))
     return any(hidden) or (_is_folder(captures) and (captures / SIMULATED_MARKER).exists())
-
-
-def _leaves_traces(final: Path) -> bool:
-    return any(map(os.path.lexists, (final, partial_folder(final), old_folder(final), lock_file(final))))
 
 
 def _clean_stage(final: Path, cleaned: Cleaned) -> None:

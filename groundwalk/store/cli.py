@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from groundwalk.store.definition import Stage
 
 
+def _data_of(context: typer.Context) -> DataRoot:
+    return DataRoot(Path(context.params.get("data") or "data"))
+
+
 def _complete_scene(context: typer.Context) -> list[str]:
     return _data_of(context).scenes()
 
@@ -26,16 +30,8 @@ def _complete_profile(context: typer.Context) -> list[str]:
     return _data_of(context).names("profiles")
 
 
-def _data_of(context: typer.Context) -> DataRoot:
-    return DataRoot(Path(context.params.get("data") or "data"))
-
-
-SceneOption = Annotated[
-    str,
-    typer.Option(
-        help="The scene: a folder of data/captures, or one that can be simulated.", autocompletion=_complete_scene
-    ),
-]
+_SCENE_HELP = "The scene: a folder of data/captures, or one that can be simulated."
+SceneOption = Annotated[str, typer.Option(help=_SCENE_HELP, autocompletion=_complete_scene)]
 ProfileOption = Annotated[
     str,
     typer.Option(
@@ -72,11 +68,10 @@ class App(typer.Typer):
             if stopped is not None:
                 print(f"stopped by {stopped}{f'; {stopped.again}' if stopped.again else ''}", file=sys.stderr)
                 sys.exit(stopped.exit_code)
-            message: BaseException = error
-            if isinstance(error, OSError) and error.errno is not None:
-                message = as_user_error(error) or sentence(error)
-            elif isinstance(error, MemoryError):
-                message = as_user_error(error) or error
+            has_number = isinstance(error, OSError) and error.errno is not None
+            message = as_user_error(error) if has_number or isinstance(error, MemoryError) else error
+            if message is None and isinstance(error, OSError):
+                message = sentence(error)
             if not isinstance(message, UserError):
                 raise
             print(f"error: {printable(str(message))}", file=sys.stderr)
@@ -120,8 +115,8 @@ def _distrust_current_folder() -> None:
 
 def new_app(help_text: str, **options: Any) -> App:
     """An empty application; subcommands are added by its caller."""
-    options = {"add_completion": False, **options}
-    return App(help=help_text, rich_markup_mode="markdown", pretty_exceptions_enable=False, **options)
+    fixed: dict[str, Any] = {"rich_markup_mode": "markdown", "pretty_exceptions_enable": False}
+    return App(help=help_text, **{"add_completion": False, **fixed, **options})
 
 
 def stage_app(stage: "Stage[Any]") -> App:
@@ -149,10 +144,7 @@ def stage_command(
         if context.invoked_subcommand is not None:
             return
         if not scene:
-            raise UserError(
-                "no scene was named",
-                do=f"add --scene <name>, for example --scene Church (stage {name})",
-            )
+            raise UserError("no scene was named", do=f"add --scene <name>, for example --scene Church (stage {name})")
         # Here, as it takes a second, and more than `--help`.
         from groundwalk.store.stage import execute
 

@@ -10,27 +10,6 @@ from pathlib import Path
 from groundwalk.store.child import ProcessDied
 from groundwalk.store.errors import UserError
 
-_MACHINE = {
-    errno.ENOSPC: "the disk is full",
-    errno.EDQUOT: "the disk quota is used up",
-    errno.EFBIG: "a file is larger than allowed here",
-    errno.EROFS: "the file system is read-only",
-    errno.ENOTDIR: "a file is where a folder should be",
-    errno.EEXIST: "a file is there already",
-    errno.EACCES: "permission is denied",
-    errno.EPERM: "the operation isn't permitted",
-    errno.EMFILE: "too many files are open in this process",
-    errno.ENFILE: "too many files are open on this machine",
-    errno.ENOMEM: "the memory is used up",
-    errno.ENAMETOOLONG: "a name is too long for the file system",
-    errno.EIO: "the disk reports an error",
-    errno.ELOOP: "a link is where none may be, or links lead in a circle",
-    errno.EXDEV: "a folder can't be moved from one file system to another",
-    errno.EBUSY: "the system holds this: a disk is mounted there, or a program uses it",
-    errno.ESTALE: "a network drive has lost a file that is open",
-    errno.ENOLCK: "the file system has no locks",
-    errno.EOPNOTSUPP: "the file system can't do this",
-}
 _OTHER_DISK = "name a data folder on another disk with --data"
 _DO = {
     errno.ENOSPC: "free some space",
@@ -72,10 +51,10 @@ def as_user_error(error: BaseException, work: Path | None = None) -> UserError |
             return sentence(cause, work)
         if isinstance(cause, MemoryError):
             do = "take smaller settings, or a machine with more memory"
-            return UserError(_MACHINE[errno.ENOMEM], where=work, found=str(cause) or None, do=do)
+            return UserError("the memory is used up", where=work, found=str(cause) or None, do=do)
     if work is not None and isinstance(error, RuntimeError | ProcessDied | OSError) and (number := _probe(work)):
         text = str(error).split("\n")[0][:200]
-        return UserError(_MACHINE[number], where=work, found=f"{_free(work)}; {text}", do=_DO.get(number))
+        return UserError(_words(number), where=work, found=f"{_free(work)}; {text}", do=_DO.get(number))
     return None
 
 
@@ -86,7 +65,12 @@ def sentence(error: OSError, work: Path | None = None) -> UserError:
     where = Path(os.fsdecode(name)) if isinstance(name, str | bytes) else work
     room = _free(where) if error.errno in _OF_SPACE else None
     number = error.errno or 0
-    return UserError(_MACHINE.get(number) or os.strerror(number).lower(), where=where, found=room, do=_DO.get(number))
+    return UserError(_words(number), where=where, found=room, do=_DO.get(number))
+
+
+def _words(number: int) -> str:
+    """The system's own words, which can be searched for."""
+    return os.strerror(number).lower()
 
 
 def may_be_damage(error: Exception) -> bool:
@@ -110,7 +94,7 @@ def _probe(folder: Path) -> int | None:
         path.write_bytes(b"x")
         path.unlink()
     except OSError as error:
-        return error.errno if error.errno in _MACHINE else None
+        return None if error.errno in _MAY_BE_DAMAGE else error.errno
     return None
 
 

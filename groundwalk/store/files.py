@@ -76,31 +76,17 @@ def refuse_to_overwrite(out: Path, results: str, note: str, key: str, *, force: 
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
     content = read_json(out / note)
-    if key not in content:
-        raise UserError(
-            f"the output folder holds other files than earlier {results}",
-            where=out,
-            expected=f"a new or empty folder, or earlier {results} with their {note}",
-            do="name another folder with --out",
-        )
-    if not force:
+    if key in content and not force:
         raise UserError(
             f"the output folder holds earlier {results}", where=out, do="name another folder, or use --force"
         )
-    listed = content.get("files")
-    if not isinstance(listed, list | dict):
-        raise UserError(
-            f"the output folder holds earlier {results} that don't list their files, so that others may be among them",
-            where=out,
-            expected=f"`files` in {note}",
-            do="move the folder away, or name another one with --out",
-        )
-    others = sorted({*file_names(out)} - {note, *map(str, listed)})
-    if others:
+    listed = content.get("files", [])
+    others = sorted({*file_names(out)} - {note, *(map(str, listed) if isinstance(listed, list | dict) else ())})
+    if others or key not in content:
         raise UserError(
             f"the output folder holds other files than earlier {results}",
             where=out,
-            expected=f"the files that {note} lists",
+            expected=f"a new or empty folder, or earlier {results}: their {note}, and the files that it lists",
             found=name_list(others, 3),
             do="move them away, or name another folder with --out",
         )
@@ -193,26 +179,20 @@ def _drop_old(final: Path, made: Callable[[Path], Collection[str]]) -> None:
         old.unlink()
     elif old.is_dir():
         # Where its own list is damaged, what the new one has is taken for its files.
-        move_others(old, final, made(old) or made(final))
+        _move_others(old, final, made(old) or made(final))
         shutil.rmtree(old, ignore_errors=True)
 
 
-def move_others(source: Path, target: Path, made: Collection[str]) -> None:
+def _move_others(source: Path, target: Path, made: Collection[str]) -> None:
     """Move the files of a folder that aren't listed to the same places in another one, which keeps what it has."""
     for name in file_names(source):
         if name not in made:
             place = target / name
-            if os.path.lexists(place) or not _makes_folder(place.parent):
+            with contextlib.suppress(FileExistsError, NotADirectoryError):
+                place.parent.mkdir(parents=True, exist_ok=True)
+            if os.path.lexists(place) or not place.parent.is_dir():
                 place = target / f"{name.replace('/', '-')}.kept"
             (source / name).rename(place)
-
-
-def _makes_folder(folder: Path) -> bool:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError):
-        return False
-    return True
 
 
 @contextlib.contextmanager
@@ -237,7 +217,7 @@ def fresh_folder(out: Path) -> Iterator[Path]:
         _sync(out.parent)
     finally:
         if old.exists() and out.exists():
-            move_others(old, out, before)
+            _move_others(old, out, before)
         elif old.exists():
             old.rename(out)
         shutil.rmtree(aside, ignore_errors=True)

@@ -14,7 +14,7 @@ from groundwalk.store.errors import UserError
 from groundwalk.store.files import hash_files, read_json, sha256_of
 from groundwalk.store.hints import link_command, run_command
 from groundwalk.store.locks import locked
-from groundwalk.store.manifests import MANIFEST, load_manifest, load_verified, replaced_input
+from groundwalk.store.manifests import MANIFEST, Replaced, load_manifest, load_verified, missing_stage, replaced_input
 from groundwalk.store.settings import DataRoot, SceneConfig
 from groundwalk.store.simulated import TRUTH_FILES, are_simulated
 
@@ -62,7 +62,7 @@ class Inputs:
     def refuse_outdated(self) -> None:
         """UserError where an artefact among the inputs was made from others than are there now."""
         for scene, stage, _ in self.sources:
-            if replaced := replaced_input(self._manifest_of, scene, stage):
+            if replaced := self._replaced_input(scene, stage):
                 its_scene, its_stage = replaced.artefact
                 folder = self.data.run(self.profile, its_scene, its_stage)
                 raise UserError(
@@ -97,9 +97,6 @@ class Inputs:
         leaves = self.data.leaves(self.scene)
         return any(load_manifest(self.data.run(self.profile, leaf, "import"))["simulated"] for leaf in leaves)
 
-    def _manifest_of(self, scene: str, stage: str) -> dict[str, Any]:
-        return read_json(self.data.run(self.profile, scene, stage) / MANIFEST)
-
     def _lock(self) -> None:
         """Captures, too, are read by many stages, and are another profile's to simulate or remove."""
         for leaf in self.data.leaves(self.scene):
@@ -107,7 +104,7 @@ class Inputs:
                 self._locks.enter_context(locked(captures, shared=True))
         for scene, stage, folder in self.sources:
             if not (folder / MANIFEST).is_file():
-                raise missing_input(stage, folder, scene)
+                raise missing_stage(folder, stage, scene)
             self._locks.enter_context(locked(folder, shared=True))
 
     def _hashes(self) -> dict[str, Any]:
@@ -138,15 +135,18 @@ class Inputs:
                 config = self.data.scene(group)[0]
                 if config.is_group:
                     named += [(group, stage) for stage in stages if stage in config.stages]
+        found = [(scene, stage, self.data.run(self.profile, scene, stage)) for scene, stage in named]
         return [
-            (scene, stage, self.data.run(self.profile, scene, stage))
-            for scene, stage in named
-            if stage in self.stage.needs or self._is_current(scene, stage)
+            (scene, stage, folder)
+            for scene, stage, folder in found
+            if stage in self.stage.needs or ((folder / MANIFEST).is_file() and not self._replaced_input(scene, stage))
         ]
 
-    def _is_current(self, scene: str, stage: str) -> bool:
-        is_finished = (self.data.run(self.profile, scene, stage) / MANIFEST).is_file()
-        return is_finished and replaced_input(self._manifest_of, scene, stage) is None
+    def _replaced_input(self, scene: str, stage: str) -> Replaced | None:
+        def manifest_of(scene: str, stage: str) -> dict[str, Any]:
+            return read_json(self.data.run(self.profile, scene, stage) / MANIFEST)
+
+        return replaced_input(manifest_of, scene, stage)
 
 
 @contextlib.contextmanager
@@ -198,31 +198,19 @@ def hashes_of_named(files: Iterable[str], scene: str, data: DataRoot) -> dict[st
 
 def no_captures(scene: str, captures: Path, profile: str) -> UserError:
     """The error for a scene without a file that import may read."""
-    links = sorted(path.name for path in captures.glob("*") if path.is_symlink() and path.is_dir())
-    link = link_command(captures, profile)
-    return UserError(
-        f"scene {scene} has no captures",
-        where=captures,
-        expected="a folder of phone captures",
-        found=f"links to folders, which import doesn't follow: {', '.join(links)}" if links else "nothing",
-        do=f"copy what they point to there; or move this folder away and link one that holds it: {link}"
-        if links
-        else link,
-    )
-
-
-def missing_input(stage: str, folder: Path, scene: str) -> UserError:
-    """The error for an artefact that isn't there."""
-    return UserError(f"stage {stage} of scene {scene} hasn't been run", where=folder, do=run_command(folder))
+    found, do = "nothing", link_command(captures, profile)
+    if links := sorted(path.name for path in captures.glob("*") if path.is_symlink() and path.is_dir()):
+        found = f"links to folders, which import doesn't follow: {', '.join(links)}"
+        do = f"copy what they point to there; or move this folder away and link one that holds it: {do}"
+    what, expected = f"scene {scene} has no captures", "a folder of phone captures"
+    return UserError(what, where=captures, expected=expected, found=found, do=do)
 
 
 def capture_files(captures: Path) -> list[Path]:
     """The files of a capture folder that import may read: not those which hold the simulator's truth or notes."""
-    paths = []
+    paths: list[Path] = []
     for base, folders, names in os.walk(captures, followlinks=False):
         folders[:] = sorted(f for f in folders if not f.startswith("."))
-        at_top = Path(base) == captures
-        for name in sorted(names):
-            if not (name.startswith(".") or (at_top and name in TRUTH_FILES)):
-                paths.append(Path(base) / name)
+        hidden = TRUTH_FILES if Path(base) == captures else ()
+        paths += [Path(base, name) for name in sorted(names) if not name.startswith(".") and name not in hidden]
     return paths

@@ -34,7 +34,12 @@ def locked(folder: Path, *, shared: bool = False) -> Iterator[None]:
             try:
                 fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise _in_use(folder, shared) from None
+                doing = "is being made or removed" if shared else "is being made, read or removed"
+                raise UserError(
+                    f"{folder.name} {doing} by another run that is under way",
+                    where=folder,
+                    do="wait for it to end, or stop it",
+                ) from None
             except OSError as error:
                 raise OSError(error.errno, error.strerror, str(path)) from None
             # Who held the lock before may have removed its file: a lock on a removed file excludes nobody.
@@ -57,10 +62,3 @@ def _is_same_file(descriptor: int, path: Path) -> bool:
         return os.path.samestat(os.fstat(descriptor), path.stat())
     except FileNotFoundError:
         return False
-
-
-def _in_use(folder: Path, shared: bool) -> UserError:
-    doing = "is being made or removed" if shared else "is being made, read or removed"
-    return UserError(
-        f"{folder.name} {doing} by another run that is under way", where=folder, do="wait for it to end, or stop it"
-    )

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import KEY_FILE, RECORDING, hash_files, leads_outside, read_json
+from groundwalk.store.files import KEY_FILE, RECORDING, hash_files, leads_outside, partial_folder, read_json
 from groundwalk.store.hints import run_command
 from groundwalk.store.settings import STAGES
 
@@ -51,30 +51,29 @@ def listed_files(folder: Path) -> set[str]:
     return {*outputs, *UNHASHED} if isinstance(outputs, dict) else set()
 
 
-def damaged_outputs(folder: Path, manifest: dict[str, Any]) -> list[str]:
-    """The outputs that a manifest lists and that are gone or have another content."""
-    listed: dict[str, str] = manifest["outputs"]
-    there = [folder / name for name in listed if not leads_outside(name) and (folder / name).is_file()]
-    hashes = hash_files(folder, there)
-    return [name for name, digest in sorted(listed.items()) if hashes.get(name) != digest]
-
-
 def load_verified(folder: Path) -> dict[str, Any]:
     """The manifest of a finished artefact all of whose outputs are as they were written; UserError otherwise."""
     manifest = load_manifest(folder)
+    listed: dict[str, str] = manifest["outputs"]
+    there = [folder / name for name in listed if not leads_outside(name) and (folder / name).is_file()]
     try:
-        damaged = damaged_outputs(folder, manifest)
+        hashes = hash_files(folder, there)
     except OSError as error:
         raise UserError("an artefact can't be read", where=error.filename, found=error.strerror) from None
-    if damaged:
-        gone = sum(not (folder / name).is_file() for name in damaged)
+    if damaged := [name for name, digest in sorted(listed.items()) if hashes.get(name) != digest]:
         raise UserError(
-            f"artefact {folder.name} isn't as its stage wrote it: {len(damaged)} of {len(manifest['outputs'])} files "
-            f"have another sha256 than in the manifest, {gone} of them are gone",
+            f"artefact {folder.name} isn't as its stage wrote it: {len(damaged)} of {len(listed)} files have another "
+            f"sha256 than in the manifest, {len(listed) - len(there)} of them are gone",
             where=folder / damaged[0],
             do=_again(folder),
         )
     return manifest
+
+
+def missing_stage(folder: Path, stage: str, scene: str) -> UserError:
+    """The error for a stage that was never run, or not to its end; `folder` is its artefact's."""
+    state = "has begun but not finished" if partial_folder(folder).is_dir() else "hasn't been run"
+    return UserError(f"stage {stage} of scene {scene} {state}", where=folder, do=run_command(folder))
 
 
 def is_whole(folder: Path, key: str) -> bool:

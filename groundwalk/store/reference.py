@@ -1,6 +1,9 @@
 """docs/reference/tables.md, made from the schemas so that it can't fall behind them."""
 
+from collections.abc import Iterator
+
 from groundwalk.store.schemas import Column, TableSchema, all_tables
+from groundwalk.store.text import markdown_table
 
 _HEAD = """# Tables
 
@@ -27,44 +30,31 @@ def reference() -> str:
         if table.stage != stage:
             stage = table.stage
             parts.append(f"\n## {stage}\n")
+        rows = [
+            [f"`{name}`", kind, unit, column.frame, meaning] for column, name, kind, unit, meaning in _grouped(table)
+        ]
         parts.append(f"\n### {table.name} ({table.version})\n\n{table.meaning}\n\n")
-        parts.append("| column | type | unit | frame | meaning |\n|---|---|---|---|---|\n")
-        parts += [_row(column, name) for column, name in _grouped(table.columns)]
+        parts.append(markdown_table("column | type | unit | frame | meaning", rows))
     return "".join(parts)
 
 
 def column_lines(table: TableSchema) -> list[str]:
     """A table's columns as plain text, one line a column or pose group: `name: type [unit, frame]: meaning`."""
     lines = []
-    for column, name in _grouped(table.columns):
-        unit, meaning, null = _cells(column, name)
+    for column, name, kind, unit, meaning in _grouped(table):
         where = ", ".join(filter(None, (unit, column.frame and f"frame {column.frame}")))
-        lines.append(f"{name.strip('`')}: {column.dtype}{null}{f' [{where}]' if where else ''}: {meaning}")
+        lines.append(f"{name}: {kind}{f' [{where}]' if where else ''}: {meaning}")
     return lines
 
 
-def _grouped(columns: list[Column]) -> list[tuple[Column, str]]:
-    """Columns with the name to show: a pose group is one row."""
-    prefixes = {c.name.removesuffix("_qw") for c in columns if c.name.endswith("_qw")}
-    rows = []
-    for column in columns:
+def _grouped(table: TableSchema) -> Iterator[tuple[Column, str, str, str, str]]:
+    """Columns with the name, type, unit and meaning to show: a pose group is one row."""
+    groups = {name.removesuffix("_qw") for name in table.column_names if name.endswith("_qw")}
+    for column in table.columns:
         prefix, _, part = column.name.rpartition("_")
-        if prefix not in prefixes or len(part) != 2:
-            rows.append((column, f"`{column.name}`"))
+        kind = f"{column.dtype}{' or null' if column.nullable else ''}"
+        if prefix not in groups or len(part) != 2:
+            meaning = f"{column.meaning}: {', '.join(column.choices)}" if column.choices else column.meaning
+            yield column, column.name, kind, column.unit, meaning
         elif part == "tx":
-            rows.append((column, f"`{prefix}_*`"))
-    return rows
-
-
-def _cells(column: Column, name: str) -> tuple[str, str, str]:
-    """Unit, meaning, and what says that it may be null."""
-    is_group = name.endswith("_*`")
-    meaning = column.meaning.removesuffix(": position, x") if is_group else column.meaning
-    if column.choices is not None:
-        meaning += f": {', '.join(column.choices)}"
-    return "m, unit quaternion" if is_group else column.unit, meaning, " or null" if column.nullable else ""
-
-
-def _row(column: Column, name: str) -> str:
-    unit, meaning, null = _cells(column, name)
-    return f"| {name} | {column.dtype}{null} | {unit} | {column.frame} | {meaning} |\n"
+            yield column, f"{prefix}_*", kind, "m, unit quaternion", column.meaning.removesuffix(": position, x")

@@ -91,10 +91,8 @@ class Source:
     point: metadata.EntryPoint
 
     def __str__(self) -> str:
-        return (
-            f"package {self.package} {self.version}, entry point {self.point.group}: "
-            f"{self.point.name} = {self.point.value}"
-        )
+        point = f"entry point {self.point.group}: {self.point.name} = {self.point.value}"
+        return f"package {self.package} {self.version}, {point}"
 
     def error(self, what: str, reason: str) -> "PluginError":
         do = f"mend or update {self.package}, or take the entry out of the settings"
@@ -150,7 +148,7 @@ class Registry(Mapping[str, E], Generic[E]):
         yield from self._others.entries
 
     def __len__(self) -> int:
-        return len(BUILTIN[self.group]) + len(self._others.entries)
+        return sum(1 for _ in self)
 
     @property
     def problems(self) -> Mapping[str, list[PluginError]]:
@@ -222,7 +220,7 @@ class Registry(Mapping[str, E], Generic[E]):
     @cached_property
     def _others(self) -> _Others[E]:
         """Of groundwalk itself none, whatever an older installation says."""
-        points = [point for point in metadata.entry_points(group=self.group) if point.dist is not None]
+        points = metadata.entry_points(group=self.group)
         sources = [Source(point.dist.metadata["Name"], point.dist.version, point) for point in points if point.dist]
         others = _Others[E]()
         for source in sorted(sources, key=lambda source: (source.package.lower(), source.point.name)):

@@ -28,9 +28,9 @@ class RunFiles:
         """Scene and profile."""
         return self.folder.name, self.folder.parent.name
 
-    def stages(self) -> list[str]:
-        """The finished stages, and which of them are outdated, in words."""
-        return [f"{stage} (outdated)" if stage in self.outdated else stage for stage in self.finished]
+    @property
+    def simulated(self) -> bool:
+        return any(manifest["simulated"] for manifest in self.manifests.values())
 
 
 def runs_in(data: DataRoot, scene: str = "*") -> Iterator[RunFiles]:

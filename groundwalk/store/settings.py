@@ -175,7 +175,7 @@ def resolve_settings(
         sources = [source for source, content in stated if content]
         return next((s for s, content in reversed(stated) if key and key[0] in content), ", ".join(sources))
 
-    return _validated(model, merged, where)
+    return validated(model, merged, where)
 
 
 def _sections_of(data: DataRoot, section: str, kind: ConfigKind, name: str) -> list[tuple[str, dict[str, Any]]]:
@@ -183,32 +183,27 @@ def _sections_of(data: DataRoot, section: str, kind: ConfigKind, name: str) -> l
     return [(f"[{section}] of {p}", _read_file(p, kind).get(section, {})) for p in data.config_files(kind, name)]
 
 
-def validated(model: type[T], content: dict[str, Any], where: object) -> T:
-    """`content` as a settings model; UserError naming each key that doesn't fit."""
-    return _validated(model, content, lambda _: str(where))
-
-
-def _validated(model: type[T], content: dict[str, Any], where: Callable[[Sequence[Any]], str]) -> T:
-    """`validated`, with where the user finds a key (its path)."""
+def validated(model: type[T], content: dict[str, Any], where: str | Callable[[Sequence[Any]], str]) -> T:
+    """`content` as a settings model; UserError naming a key that doesn't fit, and where it stands, which may be a
+    function of the key's path."""
+    place = where if callable(where) else lambda key: where
     try:
         # As JSON, whose strict mode takes a list for a tuple and text for an enumeration, as TOML has them, but neither
         # text nor true for a number.
         return model.model_validate_json(json.dumps(content, default=_refuse_time), strict=True)
     except UserError as error:  # a value that names no entry of a registry
-        error.details["where"] = ", ".join(filter(None, [str(error.details["where"] or ""), where(())])) or None
+        error.details["where"] = ", ".join(filter(None, [str(error.details["where"] or ""), place(())])) or None
         raise
     except ValidationError as error:
         # A key that there isn't says most: its right name may be what is missing.
         first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
         key = ".".join(str(part) for part in first["loc"])
+        listed = {"extra_forbidden": "one of " + ", ".join(model.model_fields), "bool_type": "true or false"}
         raise UserError(
             f"setting {key!r}: {first['msg']}",
-            where=where(first["loc"]),
+            where=place(first["loc"]),
             found=None if first["type"] == "missing" else repr(first.get("input")),
-            expected={
-                "extra_forbidden": "one of " + ", ".join(model.model_fields),
-                "bool_type": "true or false",
-            }.get(first["type"]),
+            expected=listed.get(first["type"]),
             do="correct it; `groundwalk <stage> --help` lists the settings",
         ) from None
 
@@ -226,36 +221,26 @@ def _nested(override: str) -> dict[str, Any]:
         override.encode()
     except UnicodeEncodeError:
         raise UserError("a setting isn't text in UTF-8", found=override, where="--set") from None
-    *parents, leaf = key.strip().split(".")
-    nested: dict[str, Any] = {leaf: _parse_value(value.strip())}
-    for parent in reversed(parents):
-        nested = {parent: nested}
-    return nested
-
-
-def _parse_value(text: str) -> Any:
+    text = value.strip()
     try:
         content = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:
         content = {} if "\n" in text else {"value": text}  # a bare word is a string
     if content.keys() != {"value"}:
         raise UserError("one --set has one setting", where="--set", found=repr(text), do="give --set several times")
-    return content["value"]
-
-
-def _merge(into: dict[str, Any], other: dict[str, Any]) -> None:
-    for key, value in other.items():
-        if isinstance(value, dict) and isinstance(into.get(key), dict):
-            _merge(into[key], value)
-        else:
-            into[key] = dict(value) if isinstance(value, dict) else value
+    nested = content["value"]
+    for part in reversed(key.strip().split(".")):
+        nested = {part: nested}
+    return nested
 
 
 def _merged(contents: Iterable[dict[str, Any]]) -> dict[str, Any]:
     """Tables in one, later ones winning key by key."""
     merged: dict[str, Any] = {}
     for content in contents:
-        _merge(merged, content)
+        for key, value in content.items():
+            both = isinstance(value, dict) and isinstance(merged.get(key), dict)
+            merged[key] = _merged([merged[key], value]) if both else value
     return merged
 
 
@@ -265,25 +250,15 @@ def _read_file(path: Path, kind: ConfigKind) -> dict[str, Any]:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise UserError("a settings file can't be read", where=path, found=error, expected="TOML in UTF-8") from None
-    _refuse_wrong_sections(content, _TOP[kind], path)
+    known = (*_SECTIONS, *_TOP[kind])
+    for key, value in content.items():
+        if key not in known:
+            raise UserError(f"unknown section {key!r}", where=path, expected="one of " + ", ".join(known))
+        if key in _SECTIONS and not isinstance(value, dict):
+            raise UserError(f"{key} is a section of settings", where=path, found=value, expected=f"[{key}]")
+        if key in _TABLES and not isinstance(value, list):
+            raise UserError(f"{key} is a list of tables", where=path, found=f"[{key}]", expected=f"[[{key}]]")
     for table, (section, setting) in _TABLES.items():
         if table in content:
-            content.setdefault(section, {})[setting] = _list_of_tables(content.pop(table), table, path)
+            content.setdefault(section, {})[setting] = content.pop(table)
     return content
-
-
-def _list_of_tables(content: Any, name: str, path: object) -> Any:
-    if not isinstance(content, list):
-        raise UserError(f"{name} is a list of tables", where=path, found=f"[{name}]", expected=f"[[{name}]]")
-    return content
-
-
-def _refuse_wrong_sections(content: dict[str, Any], more: tuple[str, ...], path: Path) -> None:
-    unknown = [key for key in content if key not in _SECTIONS and key not in more]
-    if unknown:
-        raise UserError(
-            f"unknown section {unknown[0]!r}", where=path, expected="one of " + ", ".join((*_SECTIONS, *more))
-        )
-    for key in content.keys() & set(_SECTIONS):
-        if not isinstance(content[key], dict):
-            raise UserError(f"{key} is a section of settings", where=path, found=content[key], expected=f"[{key}]")

@@ -32,8 +32,7 @@ from groundwalk.store.files import (
 )
 from groundwalk.store.hints import of_scene
 from groundwalk.store.images import image_file
-from groundwalk.store.inputs import missing_input
-from groundwalk.store.manifests import MANIFEST, listed_files, load_manifest, output_hashes
+from groundwalk.store.manifests import MANIFEST, listed_files, load_manifest, missing_stage, output_hashes
 from groundwalk.store.memory import PeakMemory
 from groundwalk.store.outdated import prepared
 from groundwalk.store.registry import Lazy, PluginError
@@ -53,16 +52,7 @@ S = TypeVar("S", bound=Settings)
 T = TypeVar("T")
 
 _SCRATCH = "scratch"
-_VERSIONS = (
-    "groundwalk",
-    "numpy",
-    "opencv-python-headless",
-    "pyarrow",
-    "pycolmap",
-    "rerun-sdk",
-    "scipy",
-    "torch",
-)
+_VERSIONS = ["groundwalk", "numpy", "opencv-python-headless", "pyarrow", "pycolmap", "rerun-sdk", "scipy", "torch"]
 
 
 @dataclass
@@ -91,7 +81,7 @@ class StageRun(Generic[S]):
             self.stage.run(self)
         except UserError as error:
             if do := error.details["do"]:
-                error.details["do"] = self._of_scene(str(do))
+                error.details["do"] = of_scene(str(do), self.data, self.scene.name)
             with contextlib.suppress(OSError):  # a full disk: what the user must know is the error
                 texts = {name: str(value) for name, value in error.details.items() if value is not None}
                 write_json(self.work / STOPPED, {"what": error.what, **texts})
@@ -128,7 +118,7 @@ class StageRun(Generic[S]):
         """The finished artefact folder of a stage of this scene (or of a group's member)."""
         path = self.data.run(self.profile, scene or self.scene.name, stage)
         if not (path / MANIFEST).is_file():
-            raise missing_input(stage, path, scene or self.scene.name)
+            raise missing_stage(path, stage, scene or self.scene.name)
         return path
 
     def read(self, stage: str, table: str, scene: str | None = None) -> pd.DataFrame:
@@ -172,10 +162,7 @@ class StageRun(Generic[S]):
 
     def say(self, text: str) -> None:
         """One line for the user."""
-        progress.console.print(f"  {self._of_scene(text)}")
-
-    def _of_scene(self, text: str) -> str:
-        return of_scene(text, self.data, self.scene.name)
+        progress.console.print(f"  {of_scene(text, self.data, self.scene.name)}")
 
     def warn_of_scale(self) -> None:
         """A line for each scene whose map isn't metric."""
@@ -230,7 +217,12 @@ def execute(
         _refuse_small_disk(work, stage.space_bytes(job.settings, inputs.frames()))
         sources = frozenset((name, need) for name, need, _ in inputs.sources)
         run = StageRun(stage, inputs.scene, profile, job.settings, seed, data, inputs.simulated(), work, sources)
-        _load(stage)
+        if isinstance(stage.run, Lazy):
+            # What runs it stays in use: the garbage collector would look through it for nothing, again and again.
+            gc.disable()
+            stage.run.load()
+            gc.freeze()
+            gc.enable()
         start = time.monotonic()
         with PeakMemory() as memory:
             resumed = run_resumable(work, job.key, title, force, run.begin)
@@ -244,18 +236,9 @@ def execute(
         circumstances = _circumstances(run, elapsed, resumed, memory)
         write_json(work / MANIFEST, {"key": job.key, **job.parts, **circumstances, "outputs": output_hashes(work)})
         swap_in(work, final, listed_files)
-        progress.console.print(f"{title}: done in {progress.format_seconds(elapsed)} → {_relative(final)}")
+        shown = final.relative_to(Path.cwd()) if final.is_relative_to(Path.cwd()) else final
+        progress.console.print(f"{title}: done in {progress.format_seconds(elapsed)} → {shown}")
         return final
-
-
-def _load(stage: Stage[Any]) -> None:
-    """Import what runs a stage. That stays in use: the garbage collector would look through it for nothing, again and
-    again and as the process ends."""
-    if isinstance(stage.run, Lazy):
-        gc.disable()
-        stage.run.load()
-        gc.freeze()
-        gc.enable()
 
 
 def _refuse_small_disk(work: Path, needed: int) -> None:
@@ -273,6 +256,10 @@ def _refuse_small_disk(work: Path, needed: int) -> None:
 
 
 def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: PeakMemory) -> dict[str, Any]:
+    versions = dict.fromkeys(_VERSIONS, "not installed")
+    for name in _VERSIONS:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
     return {
         "simulated": run.simulated,
         "figures": run.figures,
@@ -281,22 +268,8 @@ def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: Pe
         "resumed": resumed,
         "peak_memory_mib": round(memory.peak_bytes / 2**20, 1),
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": {name: _version(name) for name in _VERSIONS} | {"python": platform.python_version()},
+        "versions": versions | {"python": platform.python_version()},
         "git_revision": git_revision(),
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
         "recorded": (run.work / RECORDING).is_file(),
     }
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "not installed"
-
-
-def _relative(path: Path) -> str:
-    try:
-        return str(path.relative_to(Path.cwd()))
-    except ValueError:
-        return str(path)

@@ -65,7 +65,7 @@ def view_in_browser(files: Sequence[Path]) -> int:
             _wait_for(upstream, rerun)
             with PageServer(upstream, files) as server:
                 Thread(target=server.serve_forever, daemon=True).start()
-                print(f"Look at {server.page} (Ctrl-C ends it)", flush=True)
+                print(f"Look at {server.address}/{server.secret} (Ctrl-C ends it)", flush=True)
                 webbrowser.open(server.page_once())
                 return rerun.wait()
         finally:
@@ -84,21 +84,16 @@ class PageServer(ThreadingHTTPServer):
 
     def __init__(self, upstream: str, files: Sequence[Path]) -> None:
         super().__init__((_LOOPBACK, 0), _Page)
-        self.upstream = upstream
+        self.address, self.upstream = f"http://{_LOOPBACK}:{self.server_port}", upstream
         self.secret = secrets.token_urlsafe()
         self.files = {f"/{self.secret}/{number}.rrd": path for number, path in enumerate(files)}
         self.starts = {f"/{self.secret}"}
-
-    @property
-    def page(self) -> str:
-        """The address of the page with the files."""
-        return f"http://{_LOOPBACK}:{self.server_port}/{self.secret}"
 
     def page_once(self) -> str:
         """An address of the page that works once: others see what a browser is started with."""
         once = f"/{secrets.token_urlsafe()}"
         self.starts.add(once)
-        return f"http://{_LOOPBACK}:{self.server_port}{once}"
+        return self.address + once
 
 
 class _Page(BaseHTTPRequestHandler):

@@ -34,9 +34,3 @@ def test_pages_at_the_top_link_to_files_that_there_are() -> None:
             for named in re.findall(r"(?<![\w/])docs/[\w./-]+\.md\b", source.read_text(encoding="utf-8")):
                 is_written_later = named == "docs/results/phone-cameras.md"
                 assert is_written_later or (ROOT / named).exists(), f"{source}: {named}"
-
-
-def test_the_readme_is_short() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert len(readme.split()) < 700
-    assert "make test" in readme and "make scene=Church all" in readme

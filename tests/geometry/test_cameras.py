@@ -39,11 +39,6 @@ def test_a_pinhole_within_has_no_border_and_hardly_any_room_left(lens: tuple[flo
     assert (outside < 0).any() or (outside > _SIZE).any()
 
 
-def test_a_centred_pinhole_is_the_one_within_itself() -> None:
-    pinhole = pinhole_within(centred_pinhole(*_SIZE, 250.0))
-    assert pinhole.fx == pytest.approx(250.0, rel=1e-5)
-
-
 def test_a_resized_camera_projects_to_the_same_share_of_its_image() -> None:
     camera, points = _camera(_LENSES[0]), np.array([[0.1, 0.2], [-0.4, 0.3]])
     small = camera.resized(80, 48)

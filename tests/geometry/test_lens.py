@@ -42,12 +42,6 @@ def test_colmaps_opencv_camera_has_the_same_lens() -> None:
     assert np.allclose(camera.img_from_cam(rays), distort(points, lens) * [483, 481] + [322, 236], atol=1e-9)
 
 
-def test_no_coefficients_change_nothing() -> None:
-    points = _image_points()
-    assert np.array_equal(undistort(points, []), points)
-    assert np.array_equal(distort(points, []), points)
-
-
 def test_max_shift_is_the_farthest_that_two_lenses_differ() -> None:
     assert max_shift([0.1], [0.1], (0.66, 0.5)) == 0.0
     assert max_shift([0.1], [0.0], (0.66, 0.5)) == pytest.approx(0.1 * np.hypot(0.66, 0.5) ** 3)

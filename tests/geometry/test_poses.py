@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import (
-    ARKIT_CAM_T_CAM,
     canonical_quaternion,
     heading,
     interpolate,
@@ -105,12 +104,6 @@ def test_interpolation_agrees_with_slerp_and_hits_its_poses(seed: int) -> None:
     assert np.allclose(interpolate(t_ns, poses, query)[:, :3, :3], expected.as_matrix(), atol=1e-9)
     with pytest.raises(GeometryError, match="outside"):
         interpolate(t_ns, poses, [t_ns[-1] + 1])
-
-
-def test_arkit_camera_turns_into_ours() -> None:
-    # ARKit's camera looks along -z with y up; ours along +z with y down.
-    assert np.array_equal(ARKIT_CAM_T_CAM @ [0, 0, 1, 1], [0, 0, -1, 1])
-    assert np.array_equal(ARKIT_CAM_T_CAM @ [0, 1, 0, 1], [0, -1, 0, 1])
 
 
 @given(st.floats(-3.1, 3.1))

@@ -9,17 +9,12 @@ from groundwalk.geometry.shutter import readout_fraction, readout_lines
 WIDTH, HEIGHT = 64, 48
 
 
-@pytest.mark.parametrize(
-    ("side", "turn"),
-    [
-        ("top", None),
-        ("right", cv2.ROTATE_90_CLOCKWISE),
-        ("bottom", cv2.ROTATE_180),
-        ("left", cv2.ROTATE_90_COUNTERCLOCKWISE),
-    ],
-)
-def test_a_turned_image_is_exposed_as_its_sensor_was(side: str, turn: int | None) -> None:
-    share = np.tile((np.arange(HEIGHT)[:, None] + 0.5) / HEIGHT - 0.5, (1, WIDTH))
+TURNS = {"right": cv2.ROTATE_90_CLOCKWISE, "bottom": cv2.ROTATE_180, "left": cv2.ROTATE_90_COUNTERCLOCKWISE}
+
+
+@pytest.mark.parametrize("side", ["top", *TURNS])
+def test_a_turned_image_is_exposed_as_its_sensor_was(side: str) -> None:
+    turn, share = TURNS.get(side), np.tile((np.arange(HEIGHT)[:, None] + 0.5) / HEIGHT - 0.5, (1, WIDTH))
     image = share if turn is None else cv2.rotate(share, turn)
     height, width = image.shape
     (line,) = readout_lines([side], width, height)

@@ -74,7 +74,7 @@ def test_runs_tables_page_and_what_a_notebook_shows(make_run: Make) -> None:
     assert tables["rows"]["align", "ground_truth"] == FRAMES and tables["rows"]["fuse", "errors"] == len(run.errors)
     assert set(tables.index.get_level_values("stage")) == set(run.manifests) and (tables["meaning"] != "").all()
     assert "<pre>scene" in run._repr_html_()
-    with pytest.raises(UserError, match="stage report of scene place has not been run"):
+    with pytest.raises(UserError, match="stage report of scene place hasn't been run"):
         _ = run.page
     with pytest.raises(UserError, match="there is no recording to view"):
         run.view()
@@ -194,32 +194,22 @@ def test_a_summary_says_what_there_is(make_run: Make) -> None:
     assert "SIMULATED captures" in open_place(made).summary()
 
 
-def test_a_summary_of_captures_without_vio_says_that_nothing_is_fused(make_run: Make) -> None:
+def test_a_summary_of_what_has_no_vio_no_scale_or_other_splits(make_run: Make) -> None:
     made = make_run()
-    path, of = made.folder / "import" / "sessions.parquet", schema("import", "sessions")
-    sessions = read_table(path, of)
-    write_table(path, sessions.assign(pose_source="reference", clock="name_order"), of)
-    text = open_place(made).summary()
-    assert re.search(rf"^sessions +{len(sessions)}; no VIO: nothing is fused$", text, re.MULTILINE)
-    assert "of VIO path" not in text
-    mixed = ["reference", *["vio"] * (len(sessions) - 1)]
-    write_table(path, sessions.assign(pose_source=mixed), of)
-    assert "of VIO path; no VIO in 1 of them" in open_place(made).summary()
 
+    def rewritten(stage: str, table: str, change: Callable[[pd.DataFrame], pd.DataFrame]) -> str:
+        path, of = made.folder / stage / f"{table}.parquet", schema(stage, table)
+        write_table(path, change(read_table(path, of)), of)
+        return open_place(made).summary()
 
-def test_a_summary_of_a_map_without_metric_scale_names_no_metres(make_run: Make) -> None:
-    made = make_run()
-    path, of = made.folder / "fuse" / "summary.parquet", schema("fuse", "summary")
-    write_table(path, read_table(path, of).assign(map_unit=MapUnit.SFM), of)
-    assert "median 0.50 map units, 2.0 deg" in open_place(made).summary()
-
-
-def test_a_summary_names_the_splits_that_were_evaluated(make_run: Make) -> None:
-    made = make_run()
-    path, of = made.folder / "fuse" / "errors.parquet", schema("fuse", "errors")
-    errors = read_table(path, of)
-    write_table(path, pd.concat([errors.assign(split="val"), errors]), of)
-    assert "6 of 6 val and test frames have a pose" in open_place(made).summary()
+    text = rewritten("import", "sessions", lambda s: s.assign(pose_source="reference", clock="name_order"))
+    assert re.search(r"^sessions +2; no VIO: nothing is fused$", text, re.MULTILINE) and "of VIO path" not in text
+    text = rewritten("import", "sessions", lambda s: s.assign(pose_source=["reference", "vio"]))
+    assert "of VIO path; no VIO in 1 of them" in text
+    text = rewritten("fuse", "summary", lambda s: s.assign(map_unit=MapUnit.SFM))
+    assert "median 0.50 map units, 2.0 deg" in text
+    text = rewritten("fuse", "errors", lambda e: pd.concat([e.assign(split="val"), e]))
+    assert "6 of 6 val and test frames have a pose" in text
 
 
 def test_a_run_is_opened_by_its_folder(make_run: Make, tmp_path: Path) -> None:
@@ -250,7 +240,7 @@ def test_a_stage_that_is_not_finished_is_named(make_run: Make) -> None:
     made = make_run("import")
     run = open_place(made)
     with pytest.raises(
-        UserError, match=r"(?s)stage align of scene place has not been run.*run --scene place .* align --data"
+        UserError, match=r"(?s)stage align of scene place hasn't been run.*run --scene place .* align --data"
     ):
         _ = run.ground_truth
     (made.folder / ".align.partial").mkdir()

@@ -108,7 +108,7 @@ def test_what_a_caller_can_get_wrong_is_said(run: groundwalk.Run, boards: Boards
 
 def test_a_run_without_the_stage_says_so(boards: Boards, tmp_path: Path) -> None:
     run = groundwalk.Run(tmp_path, None, {"import": {"scene": {"name": "Boards"}, "profile": "tiny"}}, {})
-    with pytest.raises(UserError, match="stage localise of scene Boards has not been run"):
+    with pytest.raises(UserError, match="stage localise of scene Boards hasn't been run"):
         run.localise(boards.image(ROW), intrinsics=CAMERA)
 
 

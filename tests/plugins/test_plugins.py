@@ -62,19 +62,14 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(packages: list[Path], data: Path, stage: str, *arguments: str) -> str:
-    """Run a stage, or a command of its, or all stages, as a user does; what it says."""
+def run(packages: list[Path], data: Path, stage: str, *arguments: str, status: int = 0) -> str:
+    """Run a stage, or a command of its, or all stages, as a user does; what it says, with its words one space apart."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *map(str, packages)])}
-    command = [
-        sys.executable,
-        "-m",
-        *(["groundwalk", "run"] if stage == "all" else [f"groundwalk.{stage}"]),
-        *arguments,
-    ]
-    command += ["--scene", "Room", "--profile", "tiny", "--data", str(data)]
+    module = ["groundwalk", "run"] if stage == "all" else [f"groundwalk.{stage}"]
+    command = [sys.executable, "-m", *module, *arguments, "--scene", "Room", "--profile", "tiny", "--data", str(data)]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=data)
-    assert done.returncode == 0, done.stderr[-3000:]
-    return done.stderr
+    assert done.returncode == status, done.stderr[-3000:]
+    return " ".join(done.stderr.split())
 
 
 def configure(data: Path, text: str) -> None:
@@ -131,7 +126,7 @@ def data(finished: tuple[Path, str], tmp_path: Path) -> Path:
 def test_formats_of_packages_are_used_and_broken_ones_named(packages: list[Path], room: Path, tmp_path: Path) -> None:
     data = shutil.copytree(room, tmp_path / "data", symlinks=True)
     configure(data, EXAMPLE)
-    said = " ".join(run(packages, data, "capture_import").split())
+    said = run(packages, data, "capture_import")
     assert set(table(data, "import", "sessions")["format"]) == {"walk_csv"}
     for point, reason in (
         ("no_module = groundwalk_broken.no_such_module:FORMAT", "can't be imported"),
@@ -187,7 +182,7 @@ def test_a_broken_package_is_named_and_the_rest_goes_on(packages: list[Path], da
     text = EXAMPLE.replace('models = ["mean_colour"]', train).replace('methods = ["raw", "keep_first"]', methods)
     text += "\n[train.regressors.fails_in_training]\nbatch = 4\n"
     configure(data, text)
-    said = {stage: " ".join(run(packages, data, stage).split()) for stage in ("training", "fusion")}
+    said = {stage: run(packages, data, stage) for stage in ("training", "fusion")}
 
     def named(stage: str, point: str, reason: str) -> None:
         assert f"package groundwalk-broken 0.3, entry point {point}" in said[stage]
@@ -229,21 +224,17 @@ def test_predictions_from_elsewhere_take_part_to_the_end(data: Path) -> None:
 
 @pytest.mark.slow
 def test_an_exporter_that_fails_leaves_nothing(packages: list[Path], data: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *map(str, packages)])}
-    command = [sys.executable, "-m", "groundwalk.export", "--scene", "Room", "--profile", "tiny"]
-    command += ["--data", str(data), "--format", "no_paths", "--out", str(data / "nothing")]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment)
-    assert done.returncode == 2 and "write returned 0 paths" in done.stderr and "groundwalk-broken 0.3" in done.stderr
+    said = run(packages, data, "export", "--format", "no_paths", "--out", str(data / "nothing"), status=2)
+    assert "write returned 0 paths" in said and "groundwalk-broken 0.3" in said
     assert not (data / "nothing").exists()
 
 
 @pytest.mark.slow
 def test_settings_of_a_package_that_is_not_installed(data: Path) -> None:
     configure(data, EXAMPLE)
-    command = [sys.executable, "-m", "groundwalk.training", "--scene", "Room", "--profile", "tiny", "--data", str(data)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 2 and "there is no regressor 'mean_colour'" in done.stderr
-    assert "install the package that brings it" in done.stderr and "Traceback" not in done.stderr
+    said = run([], data, "training", status=2)
+    assert "there is no regressor 'mean_colour'" in said
+    assert "install the package that brings it" in said and "Traceback" not in said
 
 
 @pytest.mark.parametrize("file", sorted(HERE.glob("example/**/*.*")), ids=lambda file: file.name)

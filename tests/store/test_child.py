@@ -33,32 +33,28 @@ def _write_for_ever(report: Report, path: Path) -> None:
         time.sleep(0.02)
 
 
-def test_the_result_comes_back(tmp_path: Path) -> None:
-    assert in_child("doubling", tmp_path / "log", "", Task(_double, (21,), 1)) == 42
+def said(folder: Path, *program: object, **environment: str) -> list[str]:
+    """The words that a program prints; `log` is where its tasks' output goes."""
+    head = f"""
+from pathlib import Path
+from groundwalk.store.child import Task, in_child, preload
+from {__name__} import _double, _has_zipapp
+log = Path({str(folder / "log")!r})
+"""
+    script = folder / "main.py"
+    script.write_text(head + "\n".join(map(str, program)))
+    everything = {**os.environ, **environment}
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, env=everything)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
 
 
 def test_the_child_does_without_its_parents_main_module(tmp_path: Path) -> None:
-    script = tmp_path / "main.py"
-    script.write_text(
-        "from pathlib import Path\n"
-        f"from {__name__} import _double, in_child, Task\n"
-        "print('main')\n"
-        f"print(in_child('doubling', Path({str(tmp_path / 'log')!r}), '', Task(_double, (21,), 1)))\n"
-    )
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["main", "42"]
-
-
-def test_a_temporary_folder_may_have_a_long_name(tmp_path: Path) -> None:
-    script = (
-        f"from {__name__} import _double, in_child, Path, Task\n"
-        f"print(in_child('doubling', Path({str(tmp_path / 'log')!r}), '', Task(_double, (21,), 1)))\n"
-    )
-    folder = tmp_path / ("x" * 150)
-    folder.mkdir()
-    environment = {**os.environ, "TMPDIR": str(folder)}
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
-    assert done.stdout.strip() == "42", done.stderr
+    doubled = "print(in_child('doubling', log, '', Task(_double, (21,), 1)))"
+    assert said(tmp_path, "print('main')", doubled) == ["main", "42"]
+    long = tmp_path / ("x" * 150)  # of a temporary folder, where a socket's name would be too long
+    long.mkdir()
+    assert said(tmp_path, doubled, TMPDIR=str(long)) == ["42"]
 
 
 def _has_zipapp(report: Report) -> bool:
@@ -67,16 +63,9 @@ def _has_zipapp(report: Report) -> bool:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 def test_a_child_has_what_was_named_before_it_started(tmp_path: Path) -> None:
-    script = (
-        "from groundwalk.store.child import preload\n"
-        "import sys\n"
-        f"from {__name__} import _has_zipapp, in_child, Path, Task\n"
-        "preload(*sys.argv[1:])\n"
-        f"print(in_child('looking', Path({str(tmp_path / 'log')!r}), '', Task(_has_zipapp)))\n"
-    )
-    for modules in ([], ["zipapp"]):
-        done = subprocess.run([sys.executable, "-c", script, *modules], capture_output=True, text=True, check=True)
-        assert done.stdout.strip() == str(bool(modules))
+    for modules in ("", "'zipapp'"):
+        looked = "print(in_child('looking', log, '', Task(_has_zipapp)))"
+        assert said(tmp_path, f"preload({modules})", looked) == [str(bool(modules))]
 
 
 def test_an_error_in_the_child_is_raised_here(tmp_path: Path) -> None:

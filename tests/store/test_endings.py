@@ -11,23 +11,19 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
-from groundwalk.store import DataRoot, Settings, Stage, StageRun, UserError, execute
+from groundwalk.store import DataRoot, StageRun, UserError, execute
 from groundwalk.store.__main__ import app as look_at_artefacts
 from groundwalk.store.child import ProcessDied, Report, Task, in_child
 from groundwalk.store.cli import new_app, stage_app
 from groundwalk.store.signals import Stopped
+from tests.known import filled
+from tests.store.places import NoSettings, stage
 
 WAITING = "waiting"
-REJECTS = pd.DataFrame({"session_id": ["s"], "source": ["f"], "t_ns": [1], "reason": ["none"], "rejected": None})
 RESUMES = "the same command resumes from the last checkpoint"
 FORCED = "with --force the same command starts anew; without it, it resumes, unless the artefact is up to date"
-
-
-class NoSettings(Settings):
-    pass
 
 
 def wait_in_child(report: Report, flag: Path) -> None:
@@ -49,18 +45,6 @@ def open_many(r: StageRun[NoSettings]) -> None:
     files = []
     for number in range(100_000):
         files.append((r.scratch / str(number)).open("w"))
-
-
-def stage(run: Callable[[StageRun[NoSettings]], None]) -> Stage[NoSettings]:
-    return Stage("import", 1, NoSettings, (), run, "", reads_captures=True)
-
-
-@pytest.fixture
-def data(tmp_path: Path) -> DataRoot:
-    walk = tmp_path / "captures" / "place" / "walk"
-    walk.mkdir(parents=True)
-    (walk / "frame.json").write_text("{}")
-    return DataRoot(tmp_path)
 
 
 def start(
@@ -143,8 +127,8 @@ def limit_files() -> None:
 @pytest.mark.parametrize(
     ("run", "limits", "message"),
     [
-        ("fill", limit_size, "error: a file is larger than allowed here"),
-        ("open_many", limit_files, "error: too many files are open in this process"),
+        ("fill", limit_size, "error: file too large"),
+        ("open_many", limit_files, "error: too many open files"),
     ],
 )
 def test_a_limit_of_the_machine_is_a_sentence(
@@ -185,7 +169,7 @@ def test_every_error_of_the_disk_anywhere_is_a_sentence(
                     fail()
                 except OSError as error:  # as libraries do that hide the cause
                     raise RuntimeError("No registered database factory succeeded.") from error
-            r.write("rejects", REJECTS)
+            r.write("rejects", filled("import", "rejects", 1))
 
         with monkeypatch.context() as patched, pytest.raises(SystemExit) as ended:
             if call != LIBRARY:
@@ -211,16 +195,16 @@ def test_a_link_that_cannot_be_made_is_blamed_on_its_place(
         patched.setattr("os.symlink", fail)
         look_at_artefacts([*command, str(data)])
     said = capsys.readouterr().err
-    assert "error: permission is denied" in said and f"where:    {data / 'captures' / 'place'}\n" in said
+    assert "error: permission denied" in said and f"where:    {data / 'captures' / 'place'}\n" in said
     (tmp_path / "file").touch()
     with pytest.raises(SystemExit):
         look_at_artefacts([*command, str(tmp_path / "file")])
-    assert "error: a file is where a folder should be" in capsys.readouterr().err
+    assert "error: not a directory" in capsys.readouterr().err
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "captures").touch()
     with pytest.raises(SystemExit):
         look_at_artefacts([*command, str(tmp_path / "other")])
-    assert "error: a file is there already" in capsys.readouterr().err
+    assert "error: file exists" in capsys.readouterr().err
 
 
 def test_a_library_that_fails_on_a_full_disk_is_blamed_on_the_disk(
@@ -237,7 +221,7 @@ def test_a_library_that_fails_on_a_full_disk_is_blamed_on_the_disk(
 
     with pytest.raises(RuntimeError):
         execute(stage(fail), "place", "tiny", data)
-    with pytest.raises(UserError, match=r"(?s)the disk is full.*3 MiB free; No registered.*resumes") as told:
+    with pytest.raises(UserError, match=r"(?s)no space left on device.*3 MiB free; No registered.*resumes") as told:
         execute(stage(fill_and_fail), "place", "tiny", data)
     assert str(data.root) in str(told.value)
 

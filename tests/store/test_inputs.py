@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 from groundwalk.store import DataRoot, Settings, Stage, StageRun, UserError, execute
@@ -17,7 +16,7 @@ from groundwalk.store.cleaning import clean_scene
 from groundwalk.store.files import sha256_of
 from groundwalk.store.locks import locked
 from groundwalk.store.manifests import load_manifest
-from groundwalk.store.schemas import schema
+from tests.known import filled
 
 
 class ExampleSettings(Settings):
@@ -40,16 +39,6 @@ def stage(name: str, *needs: str, run: Run | None = None) -> Stage[ExampleSettin
 
 
 IMPORT, SFM, ALIGN = stage("import"), stage("sfm", "import"), stage("align", "import", "sfm")
-
-
-@pytest.fixture
-def data(tmp_path: Path) -> DataRoot:
-    walk = tmp_path / "captures" / "place" / "walk"
-    walk.mkdir(parents=True)
-    (walk / "frame.json").write_text("{}")
-    (tmp_path / "profiles").mkdir()
-    (tmp_path / "profiles" / "own.toml").write_text("")
-    return DataRoot(tmp_path)
 
 
 def run(data: DataRoot, stage: Stage[ExampleSettings], *settings: str) -> Path:
@@ -78,10 +67,8 @@ def test_results_of_two_imports_never_mix(data: DataRoot) -> None:
     for each in (IMPORT, SFM, ALIGN):
         run(data, each)
     run(data, IMPORT, "text=b")
-    with pytest.raises(
-        UserError,
-        match=r"(?s)sfm of scene place is outdated: import .*run --scene place --profile own --until sfm --data",
-    ):
+    advice = r"run --scene place --profile own --until sfm --data"
+    with pytest.raises(UserError, match=rf"(?s)sfm of scene place is outdated: import .*{advice}"):
         run(data, ALIGN)
     run(data, SFM)
     run(data, ALIGN)
@@ -122,15 +109,9 @@ def test_captures_that_change_during_import_are_refused(data: DataRoot) -> None:
 
 def import_images(r: StageRun[ExampleSettings]) -> None:
     """An import of the images in the captures."""
-    names = sorted(path.name for path in (r.captures / "walk").glob("*.jpg"))
-    blank = {"string": "x", "int64": 1, "float64": 1.0, "bool": False, "list<float64>": [], "list<string>": []}
-    columns = schema("import", "frames").columns
-    row = {c.name: None if c.nullable else next(iter(c.choices)) if c.choices else blank[c.dtype] for c in columns}
-    rows = [
-        {**row, "frame_id": name, "image": f"walk/{name}", "image_sha256": sha256_of(r.captures / "walk" / name)}
-        for name in names
-    ]
-    r.write("frames", pd.DataFrame(rows))
+    names = [f"walk/{path.name}" for path in (r.captures / "walk").glob("*.jpg")]
+    hashes = [sha256_of(r.captures / name) for name in names]
+    r.write("frames", filled("import", "frames", len(names), frame_id=names, image=names, image_sha256=hashes))
 
 
 def with_images(data: DataRoot) -> Path:
@@ -231,16 +212,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "gone": lambda folder: (folder / "weights" / "two.bin").unlink(),
     **{
         f"manifest {text[:9]}": lambda folder, text=text: (folder / "manifest.json").write_text(text)  # type: ignore[misc]
-        for text in (
-            "",
-            "null",
-            "[]",
-            "{}",
-            "3",
-            '{"outputs": 3, "simulated": true}',
-            '{"outputs": {"x": 1}}',
-            "[" * 9999,
-        )
+        for text in ("", "null", "[]", '{"outputs": 3, "simulated": true}', '{"outputs": {"x": 1}}', "[" * 9999)
     },
 }
 

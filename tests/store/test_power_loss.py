@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
-from groundwalk.store import DataRoot, Settings, Stage, StageRun, execute
+from groundwalk.store import DataRoot, StageRun, execute
 from groundwalk.store.files import fresh_folder, write_json
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import write_table
+from tests.known import filled
+from tests.store.places import NoSettings, stage
 
 
 @dataclass
@@ -67,27 +68,17 @@ def disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
     yield recorder
 
 
-class NoSettings(Settings):
-    pass
-
-
 def some_files(r: StageRun[NoSettings]) -> None:
     (r.work / "models" / "a").mkdir(parents=True)
     (r.work / "models" / "a" / "points.bin").write_bytes(b"x" * 5000)
-    r.write(
-        "rejects",
-        pd.DataFrame({"session_id": ["s"], "source": ["f"], "t_ns": [1], "reason": ["none"], "rejected": None}),
-    )
+    r.write("rejects", filled("import", "rejects", 1))
     (r.scratch / "log").write_text("x")
 
 
 @pytest.mark.parametrize("runs", [1, 2])
-def test_an_artefact_is_synced_before_it_is_in_its_place(tmp_path: Path, disk: Disk, runs: int) -> None:
-    (tmp_path / "captures" / "place").mkdir(parents=True)
-    (tmp_path / "captures" / "place" / "frame.json").write_text("{}")
-    stage = Stage("import", 1, NoSettings, (), some_files, "", reads_captures=True)
+def test_an_artefact_is_synced_before_it_is_in_its_place(data: DataRoot, disk: Disk, runs: int) -> None:
     for _ in range(runs):
-        final = execute(stage, "place", "tiny", DataRoot(tmp_path), force=True)
+        final = execute(stage(some_files), "place", "own", data, force=True)
     finals = [lost for target, lost in disk.renames if target == final]
     assert finals == [[]] * runs
     # An old artefact that is moved aside was synced when it was new.
@@ -96,8 +87,7 @@ def test_an_artefact_is_synced_before_it_is_in_its_place(tmp_path: Path, disk: D
 
 
 def test_tables_json_and_folders_are_synced_before_they_are_in_their_place(tmp_path: Path, disk: Disk) -> None:
-    rejects = pd.DataFrame({"session_id": ["s"], "source": ["f"], "t_ns": [1], "reason": ["none"], "rejected": None})
-    write_table(tmp_path / "t.parquet", rejects, schema("import", "rejects"))
+    write_table(tmp_path / "t.parquet", filled("import", "rejects", 1), schema("import", "rejects"))
     write_json(tmp_path / "a.json", {})
     with fresh_folder(tmp_path / "out") as folder:
         (folder / "x").write_text("x")

@@ -7,13 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from groundwalk.store import DataRoot, Settings, Stage, StageRun, UserError, execute
+from groundwalk.store import DataRoot, StageRun, UserError, execute
 from groundwalk.store.files import fresh_folder
 from groundwalk.store.locks import lock_file, locked
-
-
-class NoSettings(Settings):
-    pass
+from tests.store.places import NoSettings, stage
 
 
 def one_file(r: StageRun[NoSettings]) -> None:
@@ -21,25 +18,12 @@ def one_file(r: StageRun[NoSettings]) -> None:
     (r.work / "model" / "points.bin").write_text("points")
 
 
-def stage(name: str, run: Callable[[StageRun[NoSettings]], None] = one_file) -> Stage[NoSettings]:
-    return Stage(name, 1, NoSettings, (), run, "", reads_captures=True)
-
-
-@pytest.fixture
-def data(tmp_path: Path) -> DataRoot:
-    (tmp_path / "data" / "captures" / "place").mkdir(parents=True)
-    (tmp_path / "data" / "captures" / "place" / "frame.json").write_text("{}")
-    (tmp_path / "data" / "profiles").mkdir()
-    (tmp_path / "data" / "profiles" / "own.toml").touch()
-    return DataRoot(tmp_path / "data")
-
-
 def files_in(folder: Path) -> dict[str, str]:
     return {p.relative_to(folder).as_posix(): p.read_text() for p in folder.rglob("*") if p.is_file()}
 
 
 def test_a_note_in_an_artefact_outlives_the_next_run(data: DataRoot) -> None:
-    folder = execute(stage("sfm"), "place", "own", data)
+    folder = execute(stage(one_file, "sfm"), "place", "own", data)
     (folder / "model" / "note.txt").write_text("mine")
 
     def other_files(r: StageRun[NoSettings]) -> None:
@@ -48,10 +32,10 @@ def test_a_note_in_an_artefact_outlives_the_next_run(data: DataRoot) -> None:
         for name in ("model", "colour"):  # where the notes would be
             (r.work / name).write_text("new")
 
-    execute(stage("sfm"), "place", "own", data, force=True)
+    execute(stage(one_file, "sfm"), "place", "own", data, force=True)
     assert files_in(folder)["model/note.txt"] == "mine"
     for _ in range(2):
-        execute(stage("sfm", other_files), "place", "own", data, force=True)
+        execute(stage(other_files, "sfm"), "place", "own", data, force=True)
     names = files_in(folder)
     assert names.pop("manifest.json")
     assert names == {
@@ -64,14 +48,14 @@ def test_a_note_in_an_artefact_outlives_the_next_run(data: DataRoot) -> None:
 
 @pytest.mark.parametrize("killed", ["between the renames", "before the old one is dropped"])
 def test_a_note_outlives_a_kill(data: DataRoot, killed: str) -> None:
-    folder = execute(stage("sfm"), "place", "own", data)
+    folder = execute(stage(one_file, "sfm"), "place", "own", data)
     (folder / "note.txt").write_text("mine")
     folder.rename(folder.with_name(".sfm.old"))
     if killed != "between the renames":
         folder.mkdir()
         for name, text in (("manifest.json", (folder.parent / ".sfm.old" / "manifest.json").read_text()), ("x", "x")):
             (folder / name).write_text(text)
-    execute(stage("sfm"), "place", "own", data, force=True)
+    execute(stage(one_file, "sfm"), "place", "own", data, force=True)
     assert files_in(folder)["note.txt"] == "mine"
     assert not folder.with_name(".sfm.old").exists()
 
@@ -89,17 +73,17 @@ def test_a_stages_folder_that_is_a_link_is_refused_before_its_work(data: DataRoo
     worked: list[StageRun[NoSettings]] = []
     for _ in range(2):
         with pytest.raises(UserError, match=r"(?s)can't be\n.*found: +a link\n.*move it away"):
-            execute(stage("sfm", worked.append), "place", "own", data)
+            execute(stage(worked.append, "sfm"), "place", "own", data)
     assert not worked and not any(elsewhere.iterdir())
     link.unlink()
-    execute(stage("sfm"), "place", "own", data)
+    execute(stage(one_file, "sfm"), "place", "own", data)
 
 
 def test_an_artefact_behind_a_link_is_still_read(data: DataRoot, tmp_path: Path) -> None:
-    folder = execute(stage("sfm"), "place", "own", data)
+    folder = execute(stage(one_file, "sfm"), "place", "own", data)
     folder.rename(tmp_path / "elsewhere")
     folder.symlink_to(tmp_path / "elsewhere")
-    assert execute(stage("sfm"), "place", "own", data) == folder
+    assert execute(stage(one_file, "sfm"), "place", "own", data) == folder
 
 
 def test_a_file_or_a_mounted_disk_in_a_folders_place_is_refused_before_the_work(
@@ -109,14 +93,14 @@ def test_a_file_or_a_mounted_disk_in_a_folders_place_is_refused_before_the_work(
     place.parent.mkdir(parents=True)
     place.write_text("a file")
     with pytest.raises(UserError, match=r"found: +a file"):
-        execute(stage("sfm", lambda r: pytest.fail("worked")), "place", "own", data)
+        execute(stage(lambda r: pytest.fail("worked"), "sfm"), "place", "own", data)
     with pytest.raises(UserError, match=r"found: +a file"), fresh_folder(place):
         pytest.fail("worked")
     place.unlink()
     place.mkdir()
     monkeypatch.setattr(Path, "is_mount", lambda self: self == place)
     with pytest.raises(UserError, match=r"found: +a disk of its own"):
-        execute(stage("sfm", lambda r: pytest.fail("worked")), "place", "own", data)
+        execute(stage(lambda r: pytest.fail("worked"), "sfm"), "place", "own", data)
 
 
 def test_what_comes_to_an_output_folder_while_it_is_written_anew_stays(tmp_path: Path) -> None:
@@ -168,4 +152,4 @@ def test_a_folder_that_cannot_be_synced_is_left_to_its_drive(data: DataRoot, mon
         fsync(descriptor)
 
     monkeypatch.setattr("os.fsync", of_files_alone)
-    assert files_in(execute(stage("sfm"), "place", "own", data))["model/points.bin"] == "points"
+    assert files_in(execute(stage(one_file, "sfm"), "place", "own", data))["model/points.bin"] == "points"

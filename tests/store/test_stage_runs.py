@@ -15,6 +15,7 @@ from groundwalk.store import DataRoot, Settings, Stage, StageRun, UserError, exe
 from groundwalk.store.hints import setting_of
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.tables import pose_frame
+from tests.store.places import place
 
 # The stage below stands in for any; it writes the one table that no real stage owns.
 PROGRAM = """
@@ -75,21 +76,6 @@ def run_example(r: StageRun[ExampleSettings]) -> None:
 STAGE = Stage("simulate", 1, ExampleSettings, (), run_example, "An example.", reads_captures=True)
 
 
-def place(root: Path) -> DataRoot:
-    """A data folder with one capture, and a profile that sets nothing."""
-    captures = root / "captures" / "place" / "walk"
-    captures.mkdir(parents=True)
-    (captures / "frame.json").write_text("{}")
-    (root / "profiles").mkdir()
-    (root / "profiles" / "own.toml").write_text("")
-    return DataRoot(root)
-
-
-@pytest.fixture
-def data(tmp_path: Path) -> DataRoot:
-    return place(tmp_path)
-
-
 def table_bytes(folder: Path) -> bytes:
     return (folder / "true_poses.parquet").read_bytes()
 
@@ -120,16 +106,9 @@ def test_second_run_does_nothing_and_a_change_runs_again(data: DataRoot, capsys:
     assert load_manifest(folder)["key"] == before
 
 
-MOMENTS = [
-    "row 2",
-    "table written",
-    "after write_json",
-    "rename to .simulate.old",
-    "rename to simulate",
-]
-
-
-@pytest.mark.parametrize("moment", MOMENTS)
+@pytest.mark.parametrize(
+    "moment", ["row 2", "table written", "after write_json", "rename to .simulate.old", "rename to simulate"]
+)
 def test_killed_run_leaves_nothing_half_and_goes_on(data: DataRoot, tmp_path: Path, moment: str) -> None:
     untouched = place(tmp_path / "reference")
     expected = table_bytes(execute(STAGE, "place", "own", untouched, ["offset=1"]))

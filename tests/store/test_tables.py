@@ -14,21 +14,19 @@ import pytest
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import UserError
 from groundwalk.store.choices import Split
-from groundwalk.store.schemas import Column, TableSchema, all_tables, pose_columns
+from groundwalk.store.schemas import Column, TableSchema, all_tables, tables
 from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
 from tests.known import cells
 
-SCHEMA = TableSchema(
+(SCHEMA,) = tables(
     "sfm",
-    "example",
-    "An example.",
-    [
-        Column("frame_id", "string", "key"),
-        Column("t_ns", "int64", "time", "ns"),
-        *pose_columns("map_cam", "map_T_cam", nullable=True),
-        Column("covariance", "list<float64>", "6x6", nullable=True),
-    ],
-    version="2.1",
+    """
+example 2.1: An example.
+    frame_id (string): key
+    t_ns (int64, ns): time
+    map_cam (pose?): map_T_cam
+    covariance (list<float64>?): 6x6
+""",
 )
 
 

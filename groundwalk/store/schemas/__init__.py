@@ -110,7 +110,8 @@ def _columns(name: str, kind: str, meaning: str) -> Iterator[Column]:
         return
     unit, _, frame = f" {where}".partition(" in ")
     of_text = None if dtype in _ARROW else Status if dtype == "Status" else getattr(choices, dtype)
-    before, letters, after = re.fullmatch(r"(\w*)(?:\{(\w+)\})?(\w*)", name).groups()  # type: ignore[union-attr]
+    before, _, rest = name.partition("{")
+    letters, _, after = rest.partition("}")
     for letter in letters or [""]:
         text = meaning.replace("{}", letter)
         as_stored = "string" if of_text else cast(DType, dtype)

@@ -1,0 +1,28 @@
+"""A data folder with one capture, and stages that stand in for real ones."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from groundwalk.store import DataRoot, Settings, Stage, StageRun
+
+
+class NoSettings(Settings):
+    pass
+
+
+Run = Callable[[StageRun[NoSettings]], None]
+
+
+def stage(run: Run, name: str = "import") -> Stage[NoSettings]:
+    """A stage that reads the captures."""
+    return Stage(name, 1, NoSettings, (), run, "", reads_captures=True)
+
+
+def place(root: Path) -> DataRoot:
+    """A data folder with a capture of scene `place`, and a profile `own` that sets nothing."""
+    walk = root / "captures" / "place" / "walk"
+    walk.mkdir(parents=True)
+    (walk / "frame.json").write_text("{}")
+    (root / "profiles").mkdir()
+    (root / "profiles" / "own.toml").touch()
+    return DataRoot(root)
