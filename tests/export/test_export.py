@@ -428,7 +428,7 @@ def test_nothing_is_overwritten_unasked_and_never_what_is_no_export(scene: DataR
     # As it was written before the note listed the files.
     note = json.loads((out / "export.json").read_text())
     write_json(out / "export.json", {name: value for name, value in note.items() if name != "files"})
-    with pytest.raises(UserError, match="earlier exports that don't list their files"):
+    with pytest.raises(UserError, match="other files than earlier exports"):
         _export(scene, "tum", "--force")
     assert (out / "frames.csv").exists()
 
