@@ -5,6 +5,7 @@ test frames against the ground truth of a finished run (import, sfm, align). Wha
 `work`. Writes docs/results/cited-regressors.md and .csv.
 """
 
+import json
 import tomllib
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +13,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from benchmarks.regressors import FIGURES, cell, error_figures, link, trained
+from benchmarks.regressors import FIGURES, cell, error_figures, trained
 from benchmarks.results import circumstances, markdown_table, write_page
 from groundwalk.fusion.evaluation.evaluate import evaluate
 from groundwalk.fusion.files.walks import Inputs
@@ -24,12 +25,10 @@ from groundwalk.store.tables import dataset_frames, read_table
 
 app = new_app(__doc__ or "")
 
-MODELS = ("PN", "PN-Bayesian", "CoordiNet", "AD-PoseNet", "MapNet", "DFNet")
+MODELS = ("PN", "PN-Bayesian", "CoordiNet", "AD-PoseNet", "MapNet")
 GRAPH = "MapNet"
 # Megabytes of weights that the paper prints.
 PUBLISHED_MB = {"PN": 85}
-# What PN's section of a profile has no counterpart of, for so few epochs.
-OWN: dict[str, tuple[str, ...]] = {"DFNet": ("matching_from=150",)}
 Figures = dict[str, float]
 
 
@@ -37,12 +36,8 @@ def settings_of(model: str, profile: str, epochs: int) -> list[str]:
     """PN's section of a shipped profile for the model, with so many epochs."""
     config = tomllib.loads(Path(f"shipped/profiles/{profile}.toml").read_text(encoding="utf-8"))
     section = config["train"]["regressors"]["PN"] | {"epochs": epochs}
-    same = [f"regressors.{model}.{key}={_toml(value)}" for key, value in section.items()]
-    return [f'models=["{model}"]', *same, *(f"regressors.{model}.{setting}" for setting in OWN.get(model, ()))]
-
-
-def _toml(value: object) -> str:
-    return f'"{value}"' if isinstance(value, str) else str(value)
+    # JSON's numbers and texts are TOML's.
+    return [f'models=["{model}"]', *(f"regressors.{model}.{key}={json.dumps(value)}" for key, value in section.items())]
 
 
 def pose_graph_figures(train: Path, scene: str) -> Figures:
@@ -88,7 +83,7 @@ def write(out: Path, run: tuple[str, str, int], rows: dict[str, Figures], revisi
         f"Written by `make bench-cited`. Scene {scene}, profile `{profile}`, seed 0: each "
         f"regressor is trained once with PN's settings of the profile, but for {epochs} epochs, fewer than any needs: "
         "rows compare them at equal epochs and say nothing of how good each can become. MapNet's batches have three "
-        "frames for each of PN's, DFNet's up to three rendered views. Scenes without captures of their own are "
+        "frames for each of PN's. Scenes without captures of their own are "
         "simulated. MapNet + PGO is fusion method `pose_graph` on MapNet's predictions, with odometry between them. In "
         "bounds: of the stated covariances, 95 %; the rank correlation is Spearman's of the stated deviation and the "
         "true error. Processor seconds are of the whole stage: reading images, training and predicting. MB are 2^20 "
@@ -117,8 +112,6 @@ def main(
     for model in models.split(","):
         folder = work / f"{model}-{epochs}"
         train = DataRoot(folder).run(profile, scene, "train")
-        train.parent.mkdir(parents=True, exist_ok=True)
-        link(train.parent / "sfm", root.run(profile, scene, "sfm"))
         training = trained(folder, root, scene, profile, 0, settings_of(model, profile, epochs))
         rows[model] = {**training.figures, **sizes(train)}
         revisions[model] = training.revision

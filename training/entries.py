@@ -4,7 +4,6 @@ from groundwalk.store import colours
 from groundwalk.store.registry import Lazy
 from groundwalk.training.regressor_settings import (
     ADPoseNetSettings,
-    DFNetSettings,
     LiteSettings,
     MapNetSettings,
     MSTransformerSettings,
@@ -18,7 +17,7 @@ PN = Regressor(
     meaning="PoseNet on ResNet-34 with log-quaternions",
     colour=colours.LOCALISERS["PN"],
     settings=PoseNetSettings,
-    make=Lazy("groundwalk.training.models.posenet:make_posenet"),
+    make=Lazy("groundwalk.training.models.posenet:PoseNet"),
     multi_scene=False,
     gives_covariance=False,
     in_paper=True,
@@ -29,7 +28,7 @@ MAPNET = Regressor(
     meaning="PN that also learns the motion between frames",
     colour=colours.LOCALISERS["MapNet"],
     settings=MapNetSettings,
-    make=Lazy("groundwalk.training.models.mapnet:make_mapnet"),
+    make=Lazy("groundwalk.training.models.mapnet:MapNet"),
     multi_scene=False,
     gives_covariance=False,
 )
@@ -39,7 +38,7 @@ BAYESIAN_PN = Regressor(
     meaning="PN with dropout at test time",
     colour=colours.LOCALISERS["PN-Bayesian"],
     settings=PoseNetSettings,
-    make=Lazy("groundwalk.training.models.bayesian_posenet:make_bayesian_posenet"),
+    make=Lazy("groundwalk.training.models.bayesian_posenet:BayesianPoseNet"),
     multi_scene=False,
     gives_covariance=True,
 )
@@ -49,7 +48,7 @@ AD_POSENET = Regressor(
     meaning="PN with parts of the image hidden in training and testing",
     colour=colours.LOCALISERS["AD-PoseNet"],
     settings=ADPoseNetSettings,
-    make=Lazy("groundwalk.training.models.ad_posenet:make_ad_posenet"),
+    make=Lazy("groundwalk.training.models.ad_posenet:ADPoseNet"),
     multi_scene=False,
     gives_covariance=True,
 )
@@ -59,19 +58,9 @@ COORDINET = Regressor(
     meaning="PN with coordinate channels and learned uncertainty",
     colour=colours.LOCALISERS["CoordiNet"],
     settings=PoseNetSettings,
-    make=Lazy("groundwalk.training.models.coordinet:make_coordinet"),
+    make=Lazy("groundwalk.training.models.coordinet:CoordiNet"),
     multi_scene=False,
     gives_covariance=True,
-)
-DFNET = Regressor(
-    id="DFNet",
-    label="DFNet",
-    meaning="PN that also learns from rendered views of the map",
-    colour=colours.LOCALISERS["DFNet"],
-    settings=DFNetSettings,
-    make=Lazy("groundwalk.training.models.dfnet:make_dfnet"),
-    multi_scene=False,
-    gives_covariance=False,
 )
 MS_T = Regressor(
     id="MS-T",
@@ -79,7 +68,7 @@ MS_T = Regressor(
     meaning="multi-scene transformer on EfficientNet-B0",
     colour=colours.LOCALISERS["MS-T"],
     settings=MSTransformerSettings,
-    make=Lazy("groundwalk.training.models.ms_transformer:make_ms_transformer"),
+    make=Lazy("groundwalk.training.models.ms_transformer:MSTransformer"),
     multi_scene=True,
     gives_covariance=False,
     in_paper=True,
@@ -90,7 +79,7 @@ PN_LITE = Regressor(
     meaning="mixture of poses on frozen features of EfficientNet-Lite0",
     colour=colours.LOCALISERS["PN-Lite"],
     settings=LiteSettings,
-    make=Lazy("groundwalk.training.models.posenet_lite:make_posenet_lite"),
+    make=Lazy("groundwalk.training.models.posenet_lite:PoseNetLite"),
     whole_image_px=120,
     multi_scene=False,
     gives_covariance=True,

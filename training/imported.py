@@ -35,14 +35,8 @@ def read_imported(r: StageRun[TrainSettings], frames: pd.DataFrame) -> Iterator[
         origin = f"predictions imported from {path.name}, sha256 {sha256_of(path)[:12]}"
         for model, rows in table.groupby("model", sort=False):
             name = str(model)
-            other = (
-                f"another file, {names[name]}"
-                if name in names
-                else "the models that are trained here"
-                if name in r.settings.models
-                else ""
-            )
-            if other:
+            if name in names or name in r.settings.models:
+                other = f"another file, {names[name]}" if name in names else "the models that are trained here"
                 raise UserError(f"two regressors are called {name!r}", where=path, found=f"one more in {other}")
             names[name] = file
             yield name, _of_frames(r, name, rows, frames, path), origin
@@ -88,13 +82,7 @@ def _read(path: Path) -> pd.DataFrame:
             raise UserError(
                 "predicted poses are no numbers", where=f"{path}, column {column}", found=table[column].dtype
             )
-    _refuse_unusable_names(table, path)
-    return table
-
-
-def _refuse_unusable_names(table: pd.DataFrame, path: Path) -> None:
-    names = table["model"].unique()
-    wrong = [name for name in names if not is_id(name)]
+    wrong = [name for name in table["model"].unique() if not is_id(name)]
     if wrong:
         raise UserError(
             "predictions are of a regressor whose name can't be used",
@@ -102,6 +90,7 @@ def _refuse_unusable_names(table: pd.DataFrame, path: Path) -> None:
             expected=AN_ID,
             found=repr(wrong[0]),
         )
+    return table
 
 
 def _of_frames(
@@ -119,7 +108,13 @@ def _of_frames(
         rows[[*keys, *_POSE, *_OPTIONAL]], on=keys
     )
     finite = np.isfinite(usable[_POSE].to_numpy(float, na_value=np.nan)).all(axis=1)
-    _say_left_out(r, name, unknown=len(rows) - len(usable), not_finite=int((~finite).sum()))
+    for what, count, meaning in (
+        ("unknown", len(rows) - len(usable), "are of frames that this scene doesn't have"),
+        ("not_finite", int((~finite).sum()), "have no finite pose"),
+    ):
+        r.figure(f"{name} predictions left out: {what}", count)
+        if count:
+            r.say(f"warning: {name}: {count} predictions {meaning}")
     usable = usable[finite].reset_index(drop=True)
     if usable.empty:
         raise UserError(
@@ -128,13 +123,7 @@ def _of_frames(
             expected=f"frame_id as {frames['frame_id'].iloc[0]}",
             found=f"{rows['frame_id'].iloc[0]}, {len(rows)} rows",
         )
-    usable[_POSE[3:]] = _unit(usable[_POSE[3:]].to_numpy(float), name, path)
-    usable["picked_scene"] = usable["picked_scene"].fillna(usable["scene"])
-    return usable.assign(model=name)
-
-
-def _unit(quaternion_N4: np.ndarray, name: str, path: Path) -> np.ndarray:
-    length = np.linalg.norm(quaternion_N4, axis=1)
+    length = np.linalg.norm(usable[_POSE[3:]].to_numpy(float), axis=1)
     wrong = (length < _MIN_QUATERNION) | (length > _MAX_QUATERNION)
     if wrong.any():
         raise UserError(
@@ -144,13 +133,6 @@ def _unit(quaternion_N4: np.ndarray, name: str, path: Path) -> np.ndarray:
             found=f"{int(wrong.sum())} of {len(wrong)} have lengths up to {length.max():.3g}",
             do="convert Euler angles or other rotations to unit quaternions",
         )
-    return quaternion_N4 / length[:, None]
-
-
-def _say_left_out(r: StageRun[TrainSettings], name: str, **counts: int) -> None:
-    for what, count in counts.items():
-        r.figure(f"{name} predictions left out: {what}", count)
-    if counts["unknown"]:
-        r.say(f"warning: {name}: {counts['unknown']} predictions are of frames that this scene doesn't have")
-    if counts["not_finite"]:
-        r.say(f"warning: {name}: {counts['not_finite']} predictions have no finite pose")
+    usable[_POSE[3:]] = usable[_POSE[3:]].to_numpy(float) / length[:, None]
+    usable["picked_scene"] = usable["picked_scene"].fillna(usable["scene"])
+    return usable.assign(model=name)

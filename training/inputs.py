@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import torch
 from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import tq_from_pose
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.images import Image, read_image
 from groundwalk.store.resizing import pinhole_image, small_image
-from groundwalk.store.tables import camera_of, points_in_map, poses_of, with_cameras
+from groundwalk.store.tables import camera_of, poses_of, with_cameras
 from groundwalk.training.data import Frames, ImageCache
-from groundwalk.training.models.regressor import MapPoints
 from groundwalk.training.settings import TrainSettings
 
 _HELD_OUT = 0.1  # share of each training session, where import marked none
@@ -84,19 +82,6 @@ def focal_in_short_sides(frames: pd.DataFrame) -> NDArray[np.float64]:
 def virtual_focal(frames: pd.DataFrame) -> float:
     """The focal length of the virtual pinhole of all frames, in shorter sides: the median of those trained on."""
     return float(np.median(focal_in_short_sides(frames)[rows_with_truth(frames, "train")]))
-
-
-def map_points(r: StageRun[TrainSettings], frames: pd.DataFrame, short_side: int) -> MapPoints:
-    """The points of the only scene's map, and the virtual pinhole's focal length with so many pixels on the shorter
-    side. UserError where the map has none.
-
-    They are sfm's, which align was made from: that the two belong together has been checked with the stage's inputs.
-    """
-    points = points_in_map(r.read("sfm", "points"), r.read("sfm", "images"), r.read("align", "ground_truth"))
-    if not len(points):
-        raise UserError("the map has no points to render views from", where=r.folder("sfm"), do="run sfm again")
-    as_tensor = [torch.tensor(points[list(columns)].to_numpy(np.float32)) for columns in ("xyz", "rgb")]
-    return MapPoints(as_tensor[0], as_tensor[1] / 255, virtual_focal(frames) * short_side)
 
 
 def small_images(

@@ -3,139 +3,29 @@
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from groundwalk.store import UserError
 from groundwalk.store.child import Report
 from groundwalk.store.files import written_aside
 from groundwalk.store.hints import setting_of
-from groundwalk.training.data import Frames, Jitter, Turns, View, normalised
-from groundwalk.training.evaluation import errors, pose_errors
-from groundwalk.training.features import feature_cache
+from groundwalk.training.data import Frames
 from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
-from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressor_settings import RegressorSettings
-from groundwalk.training.steps import GradientStep, Precision, gradient_step
+from groundwalk.training.sources import FeatureSource, ImageSource, Run
+from groundwalk.training.steps import GradientStep, gradient_step
 
 CHECKPOINT = "checkpoint.pt"
 _SCORED_EPOCHS = 5
 _GROWTH = 10.0  # by how many times itself the first epoch's loss may grow
-_FIT_ROWS = 2000  # features are whitened by so many rows at most
-_REDUCED_ROWS = 512  # at once
-_FEATURES = "features"
 
 
-@dataclass(frozen=True)
-class Run:
-    """Which model is trained, where and how exactly."""
-
-    title: str
-    device: torch.device
-    precision: Precision
-    view: View
-    seed: int
-    folder: Path
-    checkpoint_s: float = 60.0
-    """least time between two checkpoints"""
-    unit: str = "m"
-    """of lengths, in words for the user"""
-
-
-class Source(Protocol):
-    """What an epoch goes over: rows of images or of features."""
-
-    scene_N: NDArray[np.int64]
-
-    def prepare(self, resumed: bool) -> None:
-        """Called once before the first epoch, after the checkpoint of a resumed run is loaded."""
-
-    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
-        """What the loss of some rows is computed from (see `gradient_step`), and the true poses."""
-        ...
-
-    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Position (m) and rotation errors (deg) on the held-out frames."""
-        ...
-
-
-class ImageSource:
-    """Training images, cropped, turned and re-coloured anew in every epoch."""
-
-    def __init__(
-        self, model: PoseRegressor, training: Frames, held_out: Frames, settings: RegressorSettings, run: Run
-    ) -> None:
-        self.model, self.training, self.held_out, self.settings, self.run = model, training, held_out, settings, run
-        self.scene_N = training.scene_N
-
-    def prepare(self, resumed: bool) -> None:
-        pass
-
-    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
-        recipe = self.settings.training
-        turns = Turns(*recipe.turn_deg) if recipe.turn_deg else None
-        rows = self.training.sequences(rows, *self.model.sequence())
-        image, poses = self.training.select(rows).training_crops(self.run.view, turns, rng, self.run.device)
-        image = normalised(Jitter(*recipe.jitter).apply(image, rng))
-        return image.contiguous(memory_format=torch.channels_last), poses
-
-    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        return pose_errors(self.model, self.held_out, self.run.view, self.run.device)
-
-
-class FeatureSource:
-    """Features of a frozen backbone, of each training image and its copies, reduced once."""
-
-    def __init__(
-        self, report: Report, model: FrozenRegressor, training: Frames, held_out: Frames, settings: Any, run: Run
-    ) -> None:
-        self.model, self.held_out, self.run = model, held_out, run
-        self.cache = feature_cache(run.folder / _FEATURES, model, training, run.view, settings, run.seed, report)
-        self.scene_N = self.cache.scene_M
-        with torch.no_grad():
-            self.held_out_features = model.eval().features(held_out.centre_crops(run.view, run.device))
-
-    @torch.no_grad()
-    def prepare(self, resumed: bool) -> None:
-        features = self.cache.features
-        if not resumed:
-            rows = np.linspace(0, len(features) - 1, min(len(features), _FIT_ROWS)).astype(np.int64)
-            self.model.fit_features(self.cache.rows(rows, self.run.device)[0])
-        parts = [
-            torch.from_numpy(np.array(features[start : start + _REDUCED_ROWS]))
-            for start in range(0, len(features), _REDUCED_ROWS)
-        ]
-        reduced = torch.cat([self.model.reduced(part.to(self.run.device)).cpu() for part in parts])
-        self.cache = replace(self.cache, features=reduced.numpy())
-        self.held_out_features = self.model.reduced(self.held_out_features)
-
-    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
-        return self.cache.rows(rows, self.run.device)
-
-    @torch.no_grad()
-    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        poses = self.model.eval().answer(self.held_out_features)
-        return errors(*self.held_out.camera_poses(poses, self.run.view), self.held_out)
-
-
-def source_of(
-    report: Report, model: PoseRegressor, training: Frames, held_out: Frames, settings: RegressorSettings, run: Run
-) -> Source:
-    """Features where the model's backbone is frozen, else images."""
-    if isinstance(model, FrozenRegressor):
-        return FeatureSource(report, model, training, held_out, settings, run)
-    return ImageSource(model, training, held_out, settings, run)
-
-
-def train(
-    report: Report, model: PoseRegressor, training: Frames, held_out: Frames, settings: RegressorSettings, run: Run
-) -> None:
+def train(report: Report, model: PoseRegressor, training: Frames, held_out: Frames, run: Run) -> None:
     """Train `model` until the checkpoint in `run.folder` holds all its epochs; `take_best` reads it.
 
     The best epoch has the smallest `held_out_score`. UserError where the loss isn't finite or grows; the checkpoint is
@@ -145,7 +35,7 @@ def train(
     ends, on a CPU, in the same weights to the bit as one that was never stopped.
     """
     model.to(run.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    source = source_of(report, model, training, held_out, settings, run)
+    settings = run.settings
     optimiser = make_optimiser(model, settings)
     history: list[dict[str, Any]] = []
     best: dict[str, Any] = {"score": math.inf, "epoch": 0, "weights": {}}
@@ -154,14 +44,18 @@ def train(
         model.load_state_dict(saved["model"])
         optimiser.load_state_dict(saved["optimiser"])
         history, best = saved["history"], saved["best"]
-    source.prepare(resumed=bool(history))
+    source = (
+        FeatureSource(report, model, training, held_out, run, resumed=bool(history))
+        if isinstance(model, FrozenRegressor)
+        else ImageSource(model, training, held_out, run)
+    )
     gradient = gradient_step(model, run.precision, run.device)
 
     report(len(history))
     saved_at = time.monotonic()
     for epoch in range(len(history), settings.epochs):
         started = time.monotonic()
-        train_loss, rate = train_epoch(model, source, gradient, optimiser, epoch, settings, run)
+        train_loss, rate = train_epoch(model, source, gradient, optimiser, epoch, run)
         refuse_divergence(train_loss, rate, history, run)
         position_m, rotation_deg = source.errors()
         row = {
@@ -189,14 +83,14 @@ def train(
 
 def train_epoch(
     model: PoseRegressor,
-    source: Source,
+    source: ImageSource | FeatureSource,
     gradient: GradientStep,
     optimiser: torch.optim.Optimizer,
     epoch: int,
-    settings: RegressorSettings,
     run: Run,
 ) -> tuple[float, float]:
     """One pass over the rows of `source`; returns the mean loss and the last step's learning rate."""
+    settings = run.settings
     torch.manual_seed(run.seed * 100_003 + epoch)
     rng = np.random.default_rng([run.seed, epoch])
     model.train()

@@ -19,9 +19,9 @@ class Recipe:
     tenth at each third of the epochs, or to zero along a cosine. clip_gradient: largest norm of a step's gradient, 0
     for any. jitter: largest change of brightness, contrast, saturation and hue. turn_deg: largest yaw, pitch and roll
     by which a training image is turned together with its pose; None: a random crop keeps the image's pose, as in the
-    paper. loss_weights: first log-variances of the position and the rotation loss, None: by the scene. normalise:
-    positions have zero mean and unit deviation for the network, and rotations are relative to the mean training one.
-    bfloat16: precision auto may choose it.
+    paper. loss_weights: first log-variances of the position and the rotation loss, None: by whether the scene is
+    outdoors. normalise: positions have zero mean and unit deviation for the network, and rotations are relative to the
+    mean training one. bfloat16: precision auto may choose it.
     """
 
     weight_decay: float = 5e-4
@@ -111,17 +111,6 @@ class ADPoseNetSettings(PoseNetSettings):
         description="image whose grey values say how often moving objects hide a pixel, white for always, stretched"
         " over what the network sees: for instance the mean of their masks over the training images; without it one"
         " probability holds everywhere",
-    )
-
-
-class DFNetSettings(PoseNetSettings):
-    """DFNet on PN, with views rendered from the map's points. Images keep the pose that their views are rendered at."""
-
-    recipes: ClassVar[Mapping[str, Recipe]] = {**PoseNetSettings.recipes, "published": Recipe(turn_deg=(0, 0, 0))}
-
-    batch: int = Field(8, gt=1, description="images a step, of MapNet sequences of three")
-    matching_from: int = Field(
-        1000, ge=0, description="training steps before views at the estimated poses are rendered and matched"
     )
 
 

@@ -26,19 +26,19 @@ from groundwalk.training.inputs import (
     as_training_frames,
     check_trainable,
     focal_in_short_sides,
-    map_points,
     read_frames,
     rows_with_truth,
     small_images,
     virtual_focal,
 )
-from groundwalk.training.loop import Run, save, take_best, train
+from groundwalk.training.loop import save, take_best, train
 from groundwalk.training.models.regressor import PoseRegressor
 from groundwalk.training.predict import predict
 from groundwalk.training.record import blueprint, record
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.settings import TrainSettings
+from groundwalk.training.sources import Run
 from groundwalk.training.steps import WORDS, Precision
 
 _FIRST = "first.pt"
@@ -61,7 +61,6 @@ class Result:
 class Job:
     """A model that is ready to be trained: its first weights lie in `run.folder`."""
 
-    settings: RegressorSettings
     scenes: list[str]
     outdoor: bool
     training: Frames
@@ -71,7 +70,7 @@ class Job:
 
     def model(self) -> PoseRegressor:
         """The model with its first weights."""
-        model = REGRESSORS.find(self.run.title).make(self.settings, len(self.scenes), self.outdoor)
+        model = REGRESSORS.find(self.run.title).make(self.run.settings, len(self.scenes), self.outdoor)
         model.load_state_dict(torch.load(self.run.folder / _FIRST)["state"])
         return model
 
@@ -210,13 +209,11 @@ def prepare(r: StageRun[TrainSettings], name: str, data: Frames, frames: pd.Data
         model = regressor.make(settings, len(r.leaves), outdoor)
         check_regressor(model, len(r.leaves), view, regressor.gives_covariance)
         origin = model.initialise(training.poses(torch.device("cpu")), settings, r.data.root / "weights")
-        if model.uses_map:
-            model.see_map(map_points(r, frames, short_side(r.settings, name)))
         save(folder / _FIRST, {"origin": origin, "state": model.state_dict()})
     origin = torch.load(folder / _FIRST)["origin"]
     r.say(f"{name}: trains in {WORDS[precision]}; first weights: {origin}")
-    run = Run(name, device, precision, view, r.seed, folder, unit=r.map_unit(r.leaves[0]).symbol)
-    return Job(settings, r.leaves, outdoor, training, held_out, run, origin)
+    run = Run(name, settings, device, precision, view, r.seed, folder, unit=r.map_unit(r.leaves[0]).symbol)
+    return Job(r.leaves, outdoor, training, held_out, run, origin)
 
 
 def train_all(r: StageRun[TrainSettings], jobs: list[Job], faults: list[PluginError]) -> list[Job]:
@@ -225,7 +222,7 @@ def train_all(r: StageRun[TrainSettings], jobs: list[Job], faults: list[PluginEr
     if not jobs:
         return []
     with r.step("train"):
-        tasks = [Task(_train, (job, r.settings.threads), job.settings.epochs) for job in jobs]
+        tasks = [Task(_train, (job, r.settings.threads), job.run.settings.epochs) for job in jobs]
         title = f"training {', '.join(job.run.title for job in jobs)}"
         ended = in_children(title, r.scratch / "log.txt", _TOO_LITTLE, tasks)
     faults += [fault for fault in ended if fault is not None]
@@ -237,7 +234,7 @@ def _train(report: Report, job: Job, threads: int) -> PluginError | None:
     torch.set_num_threads(threads)
     faults: list[PluginError] = []
     with left_out(job.run.title, faults):
-        train(report, job.model(), job.training, job.held_out, job.settings, job.run)
+        train(report, job.model(), job.training, job.held_out, job.run)
     return faults[0] if faults else None
 
 
@@ -254,7 +251,7 @@ def finish(r: StageRun[TrainSettings], job: Job, data: Frames, frames: pd.DataFr
     side = short_side(r.settings, name)
     focal_px = None if focal is None else focal * side
     trained = Trained(model, r.leaves, side, view.height, focal_px, view.width, view.upright)
-    save_trained(r.work / "weights" / f"{name}.pt", name, job.settings, trained)
+    save_trained(r.work / "weights" / f"{name}.pt", name, run.settings, trained)
 
     with r.step(f"predict {name}"):
         order = r.track(range(len(frames)), f"{name}: predicting")
@@ -281,11 +278,11 @@ def finish(r: StageRun[TrainSettings], job: Job, data: Frames, frames: pd.DataFr
         "focal_px": focal_px,
         "train_frames": len(job.training),
         "val_frames": len(job.held_out),
-        "epochs": job.settings.epochs,
+        "epochs": run.settings.epochs,
         "best_epoch": int(curve.loc[curve["selected"], "epoch"].iloc[0]),
         "seed": run.seed,
-        "config": json.dumps(job.settings.model_dump(mode="json"), sort_keys=True),
-        "reduced": reduced(r.settings, job.settings) if regressor.in_paper else None,
+        "config": json.dumps(run.settings.model_dump(mode="json"), sort_keys=True),
+        "reduced": reduced(r.settings, run.settings) if regressor.in_paper else None,
         "device": f"{machine}, trained in {WORDS[run.precision]}",
         "inference_ms": float(estimates["inference_ms"].median()),
         "train_seconds": float(curve["seconds"].sum()),

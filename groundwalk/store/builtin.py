@@ -52,7 +52,6 @@ BUILTIN: dict[str, dict[str, str]] = {
         "PN-Bayesian": "groundwalk.training.entries:BAYESIAN_PN",
         "AD-PoseNet": "groundwalk.training.entries:AD_POSENET",
         "CoordiNet": "groundwalk.training.entries:COORDINET",
-        "DFNet": "groundwalk.training.entries:DFNET",
         "PN-Lite": "groundwalk.training.entries:PN_LITE",
     },
     "groundwalk.fusion_methods": {

@@ -20,7 +20,6 @@ LOCALISERS = {
     "PN-Bayesian": (0, 60, 110),
     "AD-PoseNet": (188, 189, 34),
     "CoordiNet": (160, 140, 220),
-    "DFNet": (140, 86, 75),
     "HLoc-XFeat": (240, 128, 128),
 }
 APR = LOCALISERS["PN"]

@@ -9,12 +9,13 @@ from torch import Tensor
 
 from groundwalk.training.data import View, normalised
 from groundwalk.training.evaluation import answers, pose_errors
-from groundwalk.training.loop import Run, take_best, train
+from groundwalk.training.loop import take_best, train
 from groundwalk.training.models.efficientnet import MBConv
-from groundwalk.training.models.regressor import FrozenRegressor, MapPoints, PoseRegressor
+from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
 from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.regressors import REGRESSORS
+from groundwalk.training.sources import Run
 from groundwalk.training.steps import GradientStep, gradient_step
 from tests.training.test_loop import CPU, random_frames, silent
 
@@ -36,8 +37,6 @@ def made(name: str, poses: PoseBatch, random: bool = True) -> tuple[PoseRegresso
         if isinstance(module, MBConv):
             module.drop_probability = 0.0
     model.initialise(poses, chosen, Path("nowhere"))
-    points = torch.rand(2, 500, 3)
-    model.see_map(MapPoints(20 * points[0] - 10, points[1], 40.0))
     return model, chosen
 
 
@@ -45,7 +44,7 @@ def made(name: str, poses: PoseBatch, random: bool = True) -> tuple[PoseRegresso
 def test_trains_and_answers(tmp_path: Path, name: str) -> None:
     frames = random_frames(tmp_path / "images", 20)
     model, chosen = made(name, frames.poses(CPU))
-    train(silent, model, frames, frames, chosen, Run("test", CUDA, "bf16", VIEW, 0, tmp_path))
+    train(silent, model, frames, frames, Run("test", chosen, CUDA, "bf16", VIEW, 0, tmp_path))
     assert np.isfinite([row["train_loss"] for row in take_best(model, tmp_path)]).all()
     estimates = answers(model, frames, VIEW, CUDA)
     assert estimates.position_B3.device.type == "cuda"

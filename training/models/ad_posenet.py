@@ -10,7 +10,7 @@ from groundwalk.store import UserError
 from groundwalk.store.files import sha256_of
 from groundwalk.store.hints import setting_of
 from groundwalk.store.images import read_image
-from groundwalk.training.models.posenet import PoseNet, loss_weights
+from groundwalk.training.models.posenet import PoseNet
 from groundwalk.training.models.resnet import FEATURES
 from groundwalk.training.models.uncertainty import CovarianceScale, mean_with_scatter
 from groundwalk.training.poses import PoseBatch
@@ -24,7 +24,7 @@ _SQUEEZED = FEATURES // 16
 
 
 class ADPoseNet(PoseNet):
-    """One scene's poses, as the mean over `samples` masks of the image, and their scatter as covariance.
+    """One scene's poses, as the mean over SAMPLES masks of the image, and their scatter as covariance.
 
     A pixel with the probability mu of showing a moving object is hidden where a draw from a normal distribution with
     mean mu and deviation mu (1 - mu) isn't below THRESHOLD. The masks of testing are kept with the weights, so that
@@ -34,10 +34,8 @@ class ADPoseNet(PoseNet):
     prior: Tensor
     noise: Tensor
 
-    def __init__(
-        self, dropout: float = 0.5, sx: float = -3.0, sq: float = -3.0, samples: int = SAMPLES, prior: float = PRIOR
-    ) -> None:
-        super().__init__(dropout, sx, sq)
+    def __init__(self, settings: ADPoseNetSettings, scenes: int = 1, outdoor: bool = False) -> None:
+        super().__init__(settings, scenes, outdoor)
         squeeze, excite = nn.Linear(FEATURES, _SQUEEZED), nn.Linear(_SQUEEZED, FEATURES)
         self.channel_attention = nn.Sequential(squeeze, nn.ReLU(), excite, nn.Sigmoid())
         self.cell_attention = nn.Conv2d(FEATURES, 1, 1)
@@ -45,8 +43,8 @@ class ADPoseNet(PoseNet):
             nn.init.kaiming_normal_(layer.weight)
             assert layer.bias is not None
             nn.init.zeros_(layer.bias)
-        self.register_buffer("prior", torch.full((_SIDE, _SIDE), prior))
-        self.register_buffer("noise", torch.randn(samples, _SIDE, _SIDE, generator=torch.Generator().manual_seed(0)))
+        self.register_buffer("prior", torch.full((_SIDE, _SIDE), PRIOR))
+        self.register_buffer("noise", torch.randn(SAMPLES, _SIDE, _SIDE, generator=torch.Generator().manual_seed(0)))
         self.covariance_scale = CovarianceScale()
 
     def initialise(self, poses: PoseBatch, settings: RegressorSettings, downloads: Path) -> str:
@@ -76,9 +74,7 @@ class ADPoseNet(PoseNet):
         visible = self._visible(self.noise[:, down][:, :, across])
         seen = (image_B3HW * visible[:, None]).flatten(0, 1)
         position, log_q = (x.unflatten(0, (len(visible), -1)) for x in self._regress(seen))
-        answer = mean_with_scatter(self.frames, position, log_q)
-        assert answer.covariance_B66 is not None
-        return answer._replace(covariance_B66=self.covariance_scale(answer.covariance_B66))
+        return mean_with_scatter(self.frames, position, log_q, self.covariance_scale)
 
     def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
         """PN's loss of images with a mask each."""
@@ -103,8 +99,3 @@ def _read_prior(path: Path) -> Tensor:
             "probability holds everywhere",
         ) from None
     return nn.functional.adaptive_avg_pool2d(grey[None], _SIDE)[0]
-
-
-def make_ad_posenet(settings: ADPoseNetSettings, scenes: int, outdoor: bool) -> ADPoseNet:
-    """AD-PoseNet with random weights."""
-    return ADPoseNet(settings.dropout, *loss_weights(settings))

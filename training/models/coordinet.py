@@ -8,7 +8,6 @@ weighted by a confidence that the network learns, and a heteroscedastic loss.
 import torch
 from torch import Tensor, nn
 
-from groundwalk.training.models.posenet import loss_weights
 from groundwalk.training.models.regressor import BackboneRegressor
 from groundwalk.training.models.resnet import FEATURES, ResNet34
 from groundwalk.training.models.uncertainty import CovarianceScale, diagonal_in_map, rotation_vector
@@ -25,13 +24,14 @@ class CoordiNet(BackboneRegressor):
     recordable = True
     backbone_url = "https://download.pytorch.org/models/resnet34-b627a593.pth"
 
-    def __init__(self, sx: float = 0.0, sq: float = -3.0) -> None:
-        super().__init__(scenes=1, sx=sx, sq=sq)
+    def __init__(self, settings: PoseNetSettings, scenes: int = 1, outdoor: bool = False) -> None:
+        super().__init__(settings, scenes, outdoor)
         self.backbone: ResNet34 = ResNet34()
         self.convolution = nn.Conv2d(FEATURES + 2, _CHANNELS, 1)
         self.pose = nn.Conv2d(_CHANNELS + 2, 6 + 6 + 1, 1)
         # The first poses are those of the mean frame, as sure as the losses' first variances say.
         nn.init.zeros_(self.pose.weight)
+        sx, sq = self.loss_weights.sx.item(), self.loss_weights.sq.item()
         self.pose.bias = nn.Parameter(torch.tensor([0.0] * 6 + [sq] * 3 + [sx] * 3 + [0.0]))
         self.loss_weights.requires_grad_(False)  # the likelihood weighs
         self.covariance_scale = CovarianceScale()
@@ -79,8 +79,3 @@ def with_coordinates(maps_BCHW: Tensor) -> Tensor:
     down = torch.linspace(-1, 1, height, device=maps_BCHW.device)[:, None].expand(height, width)
     across = torch.linspace(-1, 1, width, device=maps_BCHW.device).expand(height, width)
     return torch.cat([maps_BCHW, torch.stack([across, down]).expand(batch, 2, height, width)], dim=1)
-
-
-def make_coordinet(settings: PoseNetSettings, scenes: int, outdoor: bool) -> CoordiNet:
-    """CoordiNet with random weights."""
-    return CoordiNet(*loss_weights(settings))

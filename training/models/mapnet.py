@@ -3,10 +3,12 @@ maps for camera localization", CVPR 2018). Its pose graph at test time is fusion
 
 from torch import Tensor, nn
 
-from groundwalk.training.models.posenet import PoseNet, loss_weights
+from groundwalk.training.models.posenet import PoseNet
 from groundwalk.training.models.regressor import LearnedWeights
 from groundwalk.training.poses import PoseBatch, log_quaternion
 from groundwalk.training.regressor_settings import MapNetSettings
+
+_FRAMES = 3  # of a sequence
 
 
 class MapNet(PoseNet):
@@ -16,13 +18,12 @@ class MapNet(PoseNet):
     of positions, and of log-quaternions, as the paper's eq. 3 and 4 have it.
     """
 
-    def __init__(self, dropout: float = 0.5, sx: float = 0.0, sq: float = -3.0, frames: int = 3) -> None:
-        super().__init__(dropout, sx, sq)
+    def __init__(self, settings: MapNetSettings, scenes: int = 1, outdoor: bool = False) -> None:
+        super().__init__(settings, scenes, outdoor)
         self.relative_weights = LearnedWeights(0.0, -3.0)
-        self._frames = frames
 
     def sequence(self) -> tuple[int, int]:
-        return self._frames, 1
+        return _FRAMES, 1
 
     def undecayed(self) -> list[nn.Parameter]:
         return [*super().undecayed(), *self.relative_weights.parameters()]
@@ -34,11 +35,6 @@ class MapNet(PoseNet):
         true_log_q = log_quaternion(true_quaternion)
         l1 = nn.functional.l1_loss
         absolute = self.loss_weights(l1(position, true_position), l1(log_q, true_log_q))
-        steps = [x.unflatten(0, (-1, self._frames)).diff(dim=1) for x in (position, true_position, log_q, true_log_q)]
+        steps = [x.unflatten(0, (-1, _FRAMES)).diff(dim=1) for x in (position, true_position, log_q, true_log_q)]
         relative: Tensor = self.relative_weights(l1(steps[0], steps[1]), l1(steps[2], steps[3]))
         return absolute + relative
-
-
-def make_mapnet(settings: MapNetSettings, scenes: int, outdoor: bool) -> MapNet:
-    """MapNet with random weights."""
-    return MapNet(settings.dropout, *loss_weights(settings))

@@ -133,10 +133,9 @@ class MSTransformer(BackboneRegressor):
     recordable = True
     backbone_url = "https://download.pytorch.org/models/efficientnet_b0_rwightman-7f5810bc.pth"
 
-    def __init__(
-        self, scenes: int = 1, layers: int = 6, dropout: float = 0.1, sx: float = -3.0, sq: float = -6.5
-    ) -> None:
-        super().__init__(scenes, sx, sq)
+    def __init__(self, settings: MSTransformerSettings, scenes: int = 1, outdoor: bool = False) -> None:
+        super().__init__(settings, scenes, outdoor)
+        layers, dropout = settings.layers, settings.dropout
         self.branch_layers = layers
         # The authors' backbone drops its last block twice as often as their transformers drop features.
         self.backbone = EfficientNetB0(stochastic_depth=min(0.2, 2 * dropout))
@@ -204,10 +203,3 @@ class MSTransformer(BackboneRegressor):
         ).mean()
         scene_loss = nn.functional.cross_entropy(logits_BS, poses.scene_B)
         return self.loss_weights(position_loss, rotation_loss) + scene_loss
-
-
-def make_ms_transformer(settings: MSTransformerSettings, scenes: int, outdoor: bool) -> MSTransformer:
-    """MS-T with random weights; the loss weights start as the recipe says, or as its authors' do outdoors and
-    indoors."""
-    sx, sq = settings.training.loss_weights or ((-3.0, -6.5) if outdoor else (0.0, -3.0))
-    return MSTransformer(scenes, settings.layers, settings.dropout, sx, sq)

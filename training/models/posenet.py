@@ -6,7 +6,7 @@ from torch import Tensor, nn
 from groundwalk.training.models.regressor import BackboneRegressor
 from groundwalk.training.models.resnet import FEATURES, ResNet34
 from groundwalk.training.poses import PoseBatch, exp_quaternion, log_quaternion
-from groundwalk.training.regressor_settings import BackboneSettings, PoseNetSettings
+from groundwalk.training.regressor_settings import PoseNetSettings
 
 HIDDEN = 2048
 
@@ -17,14 +17,14 @@ class PoseNet(BackboneRegressor):
     recordable = True
     backbone_url = "https://download.pytorch.org/models/resnet34-b627a593.pth"
 
-    def __init__(self, dropout: float = 0.5, sx: float = 0.0, sq: float = -3.0) -> None:
-        super().__init__(scenes=1, sx=sx, sq=sq)
+    def __init__(self, settings: PoseNetSettings, scenes: int = 1, outdoor: bool = False) -> None:
+        super().__init__(settings, scenes, outdoor)
         self.backbone: ResNet34 = ResNet34()
         self.hidden = nn.Linear(FEATURES, HIDDEN)
         self.position = nn.Linear(HIDDEN, 3)
         self.rotation = nn.Linear(HIDDEN, 3)
         # A module, so that eval() turns it off; the functional form stays on at test time.
-        self.dropout = nn.Dropout(dropout)
+        self.dropout = nn.Dropout(settings.dropout)
         for layer in (self.hidden, self.position, self.rotation):
             nn.init.kaiming_normal_(layer.weight)
             nn.init.zeros_(layer.bias)
@@ -38,11 +38,8 @@ class PoseNet(BackboneRegressor):
         features = self._features(image_B3HW)
         # bfloat16 resolves 1 part in 256, too coarse for positions: the head computes in float32.
         with torch.autocast(image_B3HW.device.type, enabled=False):
-            return self._head(features.float())
-
-    def _head(self, features_BC: Tensor) -> tuple[Tensor, Tensor]:
-        hidden = self.dropout(torch.relu(self.hidden(features_BC)))
-        return self.position(hidden), self.rotation(hidden)
+            hidden = self.dropout(torch.relu(self.hidden(features.float())))
+            return self.position(hidden), self.rotation(hidden)
 
     def forward(self, image_B3HW: Tensor) -> PoseBatch:
         position, log_q = self._regress(image_B3HW)
@@ -57,15 +54,3 @@ class PoseNet(BackboneRegressor):
             nn.functional.l1_loss(position, true_position),
             nn.functional.l1_loss(log_q, log_quaternion(true_quaternion)),
         )
-
-
-def loss_weights(settings: BackboneSettings) -> tuple[float, float]:
-    """The recipe's first log-variances of the position and the rotation loss."""
-    weights = settings.training.loss_weights
-    assert weights is not None, "PN's recipes state them"
-    return weights
-
-
-def make_posenet(settings: PoseNetSettings, scenes: int, outdoor: bool) -> PoseNet:
-    """PN with random weights."""
-    return PoseNet(settings.dropout, *loss_weights(settings))

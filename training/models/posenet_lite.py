@@ -80,8 +80,16 @@ class PoseNetLite(FrozenRegressor):
 
     recordable = True
 
-    def __init__(self, dropout: float = 0.3, width: int = WIDTH, components: int = COMPONENTS) -> None:
+    def __init__(
+        self,
+        settings: LiteSettings,
+        scenes: int = 1,
+        outdoor: bool = False,
+        width: int = WIDTH,
+        components: int = COMPONENTS,
+    ) -> None:
         super().__init__()
+        dropout = settings.dropout
         self.backbone = EfficientNetLite0().requires_grad_(False)
         self.channels = nn.ModuleList(map(ChannelComponents, MAP_CHANNELS, _CHANNEL_WIDTHS))
         self.widths = [width * cells for width, cells in zip(_CHANNEL_WIDTHS, _CELLS, strict=True)]
@@ -159,8 +167,3 @@ class PoseNetLite(FrozenRegressor):
 
     def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
         self.covariance_scale.fit(answers, truth)
-
-
-def make_posenet_lite(settings: LiteSettings, scenes: int, outdoor: bool) -> PoseNetLite:
-    """PN-Lite with random weights."""
-    return PoseNetLite(settings.dropout)

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -10,15 +10,6 @@ from torch import Tensor, nn
 from groundwalk.training.poses import PoseBatch, canonical, conjugate, multiply
 from groundwalk.training.regressor_settings import BackboneSettings, RegressorSettings
 from groundwalk.training.weights import load_first_weights
-
-
-class MapPoints(NamedTuple):
-    """The map's points: positions (m) and colours (0 to 1) as float32, and the focal length in pixels of the images
-    that a network sees, whose principal point is in the middle."""
-
-    position_P3: Tensor
-    colour_P3: Tensor
-    focal_px: float
 
 
 class LearnedWeights(nn.Module):
@@ -89,9 +80,6 @@ class PoseRegressor(nn.Module, ABC):
     suit a network without pretrained parts.
     """
 
-    uses_map: ClassVar[bool] = False
-    """`see_map` is to be called, once before training."""
-
     recordable: ClassVar[bool] = False
     """`loss` (of a FrozenRegressor `feature_loss`) does the same for all batches of a shape and never looks at a
     tensor's value in Python, so that a GPU can run it as one recorded CUDA graph."""
@@ -110,9 +98,6 @@ class PoseRegressor(nn.Module, ABC):
         Returns where the first weights come from, for the model card.
         """
         return "scratch"
-
-    def see_map(self, points: MapPoints) -> None:
-        """The points of the only scene's map."""
 
     def sequence(self) -> tuple[int, int]:
         """How many frames of one session a training example has, and how many frames lie from one to the next."""
@@ -184,11 +169,14 @@ class BackboneRegressor(PoseRegressor):
     backbone: nn.Module
     backbone_url: str
 
-    def __init__(self, scenes: int, sx: float, sq: float) -> None:
+    def __init__(self, settings: BackboneSettings, scenes: int, outdoor: bool) -> None:
         super().__init__()
         self.scenes = scenes
         self.frames = SceneFrames(scenes)
-        self.loss_weights = LearnedWeights(sx, sq)
+        # Without a recipe's own, those that MS-T's authors begin with.
+        self.loss_weights = LearnedWeights(
+            *settings.training.loss_weights or ((-3.0, -6.5) if outdoor else (0.0, -3.0))
+        )
 
     def initialise(self, poses: PoseBatch, settings: RegressorSettings, downloads: Path) -> str:
         if not isinstance(settings, BackboneSettings):

@@ -57,16 +57,12 @@ class ResNet34(nn.Module):
                 # faster (Goyal et al., 2017); loaded weights replace this.
                 nn.init.zeros_(module.bn2.weight)
 
-    def levels(self, image_B3HW: Tensor) -> dict[str, Tensor]:
-        """The feature maps by layer: layer1 (B, 64, H/4, W/4) to layer4 (B, 512, H/32, W/32)."""
-        x, maps = self.maxpool(self.relu(self.bn1(self.conv1(image_B3HW)))), {}
-        for index in range(1, len(STAGES) + 1):
-            x = maps[f"layer{index}"] = self.get_submodule(f"layer{index}")(x)
-        return maps
-
     def maps(self, image_B3HW: Tensor) -> Tensor:
         """The last feature maps (B, 512, H/32, W/32)."""
-        return self.levels(image_B3HW)["layer4"]
+        x = self.maxpool(self.relu(self.bn1(self.conv1(image_B3HW))))
+        for index in range(1, len(STAGES) + 1):
+            x = self.get_submodule(f"layer{index}")(x)
+        return x
 
     def forward(self, image_B3HW: Tensor) -> Tensor:
         return self.fc(self.avgpool(self.maps(image_B3HW)).flatten(1))

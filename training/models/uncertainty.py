@@ -14,7 +14,7 @@ _QUANTILE = 0.9
 _CHI2_QUANTILE = 6.25  # of three degrees of freedom at _QUANTILE
 _FACTORS = (0.01, 100.0)
 # Below a millimetre and a hundredth of a degree a covariance from samples says nothing.
-FLOOR = torch.tensor([2e-4] * 3 + [1e-3] * 3)
+_FLOOR = torch.tensor([2e-4] * 3 + [1e-3] * 3)
 
 
 def rotation_vector(q_from_B4: Tensor, q_to_B4: Tensor) -> Tensor:
@@ -22,22 +22,20 @@ def rotation_vector(q_from_B4: Tensor, q_to_B4: Tensor) -> Tensor:
     return 2 * log_quaternion(multiply(q_to_B4, conjugate(q_from_B4)))
 
 
-def scatter(answer: PoseBatch, position_SB3: Tensor, quaternion_SB4: Tensor) -> Tensor:
-    """The scatter (B, 6, 6) of S poses around an answer, all in the map frame."""
-    rotation = rotation_vector(answer.quaternion_B4.expand_as(quaternion_SB4), quaternion_SB4)
-    error = torch.cat([rotation, position_SB3 - answer.position_B3], dim=-1)
-    covariance = torch.einsum("sbi,sbj->bij", error, error) / len(error)
-    return covariance + torch.diag(FLOOR.to(covariance.device).square())
-
-
-def mean_with_scatter(frames: SceneFrames, position_SB3: Tensor, log_q_SB3: Tensor) -> PoseBatch:
-    """The mean, in the map frame, of S answers to each image in the only scene's network frame, and their scatter."""
+def mean_with_scatter(
+    frames: SceneFrames, position_SB3: Tensor, log_q_SB3: Tensor, scale: "CovarianceScale"
+) -> PoseBatch:
+    """The mean, in the map frame, of S answers to each image in the only scene's network frame, and their scatter,
+    scaled."""
     count, batch = position_SB3.shape[:2]
     scene = torch.zeros(batch, dtype=torch.long, device=position_SB3.device)
     mean = frames.to_map(position_SB3.mean(0), exp_quaternion(log_q_SB3.mean(0)), scene)
     samples = frames.to_map(position_SB3.flatten(0, 1), exp_quaternion(log_q_SB3).flatten(0, 1), scene.repeat(count))
-    around = scatter(mean, *(x.unflatten(0, (count, batch)) for x in samples[:2]))
-    return mean._replace(covariance_B66=around)
+    position, quaternion = (x.unflatten(0, (count, batch)) for x in samples[:2])
+    rotation = rotation_vector(mean.quaternion_B4.expand_as(quaternion), quaternion)
+    error = torch.cat([rotation, position - mean.position_B3], dim=-1)
+    covariance = torch.einsum("sbi,sbj->bij", error, error) / count
+    return mean._replace(covariance_B66=scale(covariance + torch.diag(_FLOOR.to(covariance.device).square())))
 
 
 def diagonal_in_map(frames: SceneFrames, scene_B: Tensor, rotation_sd_B3: Tensor, position_sd_B3: Tensor) -> Tensor:

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,11 +11,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from groundwalk.store import DataRoot, UserError, execute
-from groundwalk.training import features, loop
-from groundwalk.training.data import Frames, ImageCache, View
+from groundwalk.training import sources
+from groundwalk.training.data import Frames, View
 from groundwalk.training.definition import STAGE
-from groundwalk.training.features import FeatureCache, feature_cache
-from groundwalk.training.loop import Run, take_best, train
+from groundwalk.training.loop import take_best, train
 from groundwalk.training.models import efficientnet_lite
 from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
 from groundwalk.training.models.efficientnet_lite import EfficientNetLite0, folded, load_lite0
@@ -24,8 +22,8 @@ from groundwalk.training.models.posenet_lite import PoseNetLite, Whitening
 from groundwalk.training.models.uncertainty import CovarianceScale
 from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressor_settings import LiteSettings
-
-CPU = torch.device("cpu")
+from groundwalk.training.sources import Run
+from tests.training.test_loop import CPU, check_resumed, random_frames, silent
 
 
 def stored_state() -> dict[str, torch.Tensor]:
@@ -33,30 +31,13 @@ def stored_state() -> dict[str, torch.Tensor]:
     return torch.load(package.EfficientnetLite0ModelFile.get_model_file_path(), weights_only=True)
 
 
-def random_frames(folder: Path, count: int) -> Frames:
-    rng = np.random.default_rng(0)
-    folder.mkdir()
-    np.save(folder / "shapes.npy", np.tile([32, 48], (count, 1)))
-    rng.integers(0, 255, count * 32 * 48 * 3, dtype=np.uint8).tofile(folder / "pixels.u8")
-    quaternion = Rotation.from_euler("y", rng.uniform(-60, 60, (count, 1)), degrees=True).as_quat()
-    K = np.tile(np.array([[40.0, 0, 24], [0, 40, 16], [0, 0, 1]]), (count, 1, 1))
-    zeros, gravity = np.zeros(count, np.int64), np.tile([0.0, 1, 0], (count, 1))
-    position = rng.uniform(-5, 5, (count, 3))
-    return Frames(ImageCache(folder), np.arange(count), K, position, quaternion, zeros, zeros, gravity)
-
-
-def small_model(frames: Frames, monkeypatch: pytest.MonkeyPatch) -> tuple[PoseNetLite, LiteSettings]:
-    monkeypatch.setattr(features, "COPIES", 2)
-    settings = LiteSettings(epochs=4, batch=8)
+def small_model(frames: Frames, monkeypatch: pytest.MonkeyPatch) -> PoseNetLite:
+    monkeypatch.setattr(sources, "COPIES", 2)
     torch.manual_seed(1)
-    model = PoseNetLite(width=16, components=4)  # the backbone with random weights
+    model = PoseNetLite(LiteSettings(), width=16, components=4)  # the backbone with random weights
     model.frames.fit(frames.poses(CPU), True, False)
     model.mixture.fit(*model.frames.from_map(frames.poses(CPU)), frames.poses(CPU).scene_B)
-    return model, settings
-
-
-def silent(done: int, note: str = "") -> None:
-    pass
+    return model
 
 
 def test_lite0_answers_as_the_network_that_its_weights_are_of() -> None:
@@ -168,38 +149,8 @@ def test_a_resumed_run_with_cached_features_ends_in_the_same_weights(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frames = random_frames(tmp_path / "images", 10)
-
-    def start(name: str) -> dict[str, torch.Tensor]:
-        model, settings = small_model(frames, monkeypatch)
-        run = Run("test", CPU, "fp32", View(32, 48, True), 7, tmp_path / name, 0)
-        train(silent, model, frames, frames, settings, run)
-        take_best(model, tmp_path / name)
-        return model.state_dict()
-
-    class Killed(Exception):
-        pass
-
-    whole, scored = start("whole"), loop.held_out_score
-    with monkeypatch.context() as patched:
-
-        def killed_at_3(history: list[dict[str, object]]) -> float:
-            if len(history) == 3:
-                raise Killed
-            return scored(history)
-
-        def without_backbone(folder: Path, _: object, *more: Any) -> FeatureCache:
-            nothing: Any = None
-            return feature_cache(folder, nothing, *more)
-
-        patched.setattr(loop, "held_out_score", killed_at_3)
-        with pytest.raises(Killed):
-            start("killed")
-        patched.setattr(loop, "feature_cache", without_backbone)
-        patched.setattr(loop, "held_out_score", scored)
-        resumed = start("killed")  # would fail if features were computed again
-    assert whole.keys() == resumed.keys()
-    for name, tensor in whole.items():
-        assert torch.equal(tensor, resumed[name]), name
+    run = Run("test", LiteSettings(epochs=4, batch=8), CPU, "fp32", View(36, 48, True), 7, tmp_path)
+    check_resumed(monkeypatch, tmp_path, frames, lambda: small_model(frames, monkeypatch), run)
 
 
 def test_upright_views_undo_the_phones_roll(tmp_path: Path) -> None:
@@ -226,7 +177,7 @@ def test_upright_views_undo_the_phones_roll(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_stage_trains_on_twelve_frames(make_scene: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
     stored_state()
-    monkeypatch.setattr(features, "COPIES", 1)
+    monkeypatch.setattr(sources, "COPIES", 1)
     small = ['models=["PN-Lite"]', "resize=40", "crop=32", "device=cpu", "regressors.PN-Lite.epochs=2"]
     folder = execute(STAGE, "Wall", "tiny", DataRoot(make_scene(train=12)), small)
     predictions, card = (pd.read_parquet(folder / f"{name}.parquet") for name in ("predictions", "models"))
@@ -237,9 +188,8 @@ def test_the_stage_trains_on_twelve_frames(make_scene: Callable[..., Path], monk
 
 
 def test_frames_that_are_all_alike_give_finite_poses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    frames = random_frames(tmp_path / "images", 12)
-    alike = frames.select(np.zeros(12, np.int64))
-    model, settings = small_model(alike, monkeypatch)
-    train(silent, model, alike, alike, settings, Run("test", CPU, "fp32", View(32, 48), 0, tmp_path / "run"))
+    alike = random_frames(tmp_path / "images", 12).select(np.zeros(12, np.int64))
+    model, settings = small_model(alike, monkeypatch), LiteSettings(epochs=4, batch=8)
+    train(silent, model, alike, alike, Run("test", settings, CPU, "fp32", View(36, 48), 0, tmp_path / "run"))
     history = take_best(model, tmp_path / "run")
     assert np.isfinite(history[-1]["val_position_m"]) and history[-1]["val_position_m"] < 0.1

@@ -1,21 +1,13 @@
-from collections.abc import Callable
-
 import pytest
 import torch
 from torch import nn
 
-from groundwalk.training.models.ad_posenet import ADPoseNet
-from groundwalk.training.models.bayesian_posenet import BayesianPoseNet
-from groundwalk.training.models.coordinet import CoordiNet
-from groundwalk.training.models.dfnet import DFNet
 from groundwalk.training.models.efficientnet import EfficientNetB0
-from groundwalk.training.models.mapnet import MapNet
 from groundwalk.training.models.ms_transformer import MSTransformer
-from groundwalk.training.models.posenet import PoseNet
 from groundwalk.training.models.regressor import BackboneRegressor
 from groundwalk.training.models.resnet import ResNet34
 from groundwalk.training.poses import PoseBatch
-from groundwalk.training.regressor_settings import DFNetSettings
+from groundwalk.training.regressors import REGRESSORS
 
 
 def some_poses(count: int, scenes: int = 1) -> PoseBatch:
@@ -28,14 +20,20 @@ def images(count: int, side: int = 32) -> torch.Tensor:
     return torch.randn(count, 3, side, side, generator=torch.Generator().manual_seed(2))
 
 
-def small_mst(scenes: int = 1) -> MSTransformer:
+def made(name: str, scenes: int = 1) -> BackboneRegressor:
+    """A regressor with little dropout, MS-T with a layer a transformer."""
     torch.manual_seed(0)
-    return MSTransformer(scenes, layers=1)
+    entry = REGRESSORS[name]
+    more = {"layers": 1} if name == "MS-T" else {}
+    model = entry.make(entry.settings(**{"dropout": 0.05, **more}), scenes, True)
+    assert isinstance(model, BackboneRegressor)
+    return model
 
 
-@pytest.mark.parametrize(("model", "mib"), [(PoseNet, 85.3), (MSTransformer, 70.9)])
-def test_sizes_are_those_published(model: Callable[[], BackboneRegressor], mib: float) -> None:
-    assert model().bytes() / 2**20 == pytest.approx(mib, abs=0.05)
+@pytest.mark.parametrize(("name", "mib"), [("PN", 85.3), ("MS-T", 70.9)])
+def test_sizes_are_those_published(name: str, mib: float) -> None:
+    entry = REGRESSORS[name]
+    assert entry.make(entry.settings(), 1, True).bytes() / 2**20 == pytest.approx(mib, abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -79,34 +77,20 @@ def test_backbones_have_the_layout_of_torchvision(
     assert all(m.eps == 1e-5 for m in backbone.modules() if isinstance(m, nn.BatchNorm2d))
 
 
-def small(name: str) -> BackboneRegressor:
-    """A regressor of one scene, but with pairs of images, three masks and few points."""
-    torch.manual_seed(0)
-    made: dict[str, Callable[[], BackboneRegressor]] = {
-        "MapNet": lambda: MapNet(frames=2),
-        "PN-Bayesian": lambda: BayesianPoseNet(samples=3),
-        "AD-PoseNet": lambda: ADPoseNet(samples=3),
-        "CoordiNet": CoordiNet,
-        "DFNet": lambda: DFNet(DFNetSettings(matching_from=0), points=50),
-    }
-    return made[name]()
+NAMES = ["PN", "MS-T", "MapNet", "PN-Bayesian", "AD-PoseNet", "CoordiNet"]
 
 
-OF_PN = ["MapNet", "PN-Bayesian", "AD-PoseNet", "CoordiNet", "DFNet"]
-
-
-@pytest.mark.parametrize("model", [PoseNet(), small_mst(2), *map(small, OF_PN)], ids=["PN", "MS-T", *OF_PN])
-def test_training_reaches_every_part_and_evaluation_is_deterministic(model: BackboneRegressor) -> None:
-    poses = some_poses(4, model.scenes)
-    model.train()
-    model.loss(images(4), poses).backward()
+@pytest.mark.parametrize("name", NAMES)
+def test_training_reaches_every_part_and_evaluation_is_deterministic(name: str) -> None:
+    model = made(name, 2 if name == "MS-T" else 1).train()
+    model.loss(images(6), some_poses(6, model.scenes)).backward()
     unused = ("backbone.features.6", "backbone.features.7", "backbone.features.8", "backbone.classifier")
-    for name, parameter in model.named_parameters():
-        if name.startswith(unused):
-            assert parameter.grad is None, name
+    for part, parameter in model.named_parameters():
+        if part.startswith(unused):
+            assert parameter.grad is None, part
         elif parameter.requires_grad:
-            assert parameter.grad is not None, name
-            assert torch.isfinite(parameter.grad).all(), name
+            assert parameter.grad is not None, part
+            assert torch.isfinite(parameter.grad).all(), part
     model.eval()
     first, second = model(images(4)), model(images(4))
     assert all(torch.equal(a, b) for a, b in zip(first[:3], second[:3], strict=True))
@@ -114,22 +98,21 @@ def test_training_reaches_every_part_and_evaluation_is_deterministic(model: Back
     assert (first.quaternion_B4[:, 3] >= 0).all()
 
 
-@pytest.mark.parametrize("model", [PoseNet(dropout=0), small_mst(), *map(small, OF_PN)], ids=["PN", "MS-T", *OF_PN])
-def test_both_signs_of_a_quaternion_are_the_same_rotation(model: BackboneRegressor) -> None:
-    model.eval()
-    poses = some_poses(4)
+@pytest.mark.parametrize("name", NAMES)
+def test_both_signs_of_a_quaternion_are_the_same_rotation(name: str) -> None:
+    model, poses = made(name).eval(), some_poses(6)
     other = poses._replace(quaternion_B4=-poses.quaternion_B4)
     losses = []
     for same in (poses, other):
-        torch.manual_seed(0)  # of AD-PoseNet's masks and DFNet's views
-        losses.append(model.loss(images(4), same))
+        torch.manual_seed(0)  # of AD-PoseNet's masks
+        losses.append(model.loss(images(6), same))
     assert torch.allclose(losses[0], losses[1])
 
 
 @pytest.mark.parametrize("name", ["PN-Bayesian", "AD-PoseNet", "CoordiNet"])
 def test_covariances_are_in_the_axes_of_the_map(name: str) -> None:
     """Symmetric and positive; a turn of the network's frame turns them, its scale scales them."""
-    model = small(name).eval()
+    model = made(name).eval()
     with torch.no_grad():
         plain = model(images(4)).covariance_B66.double()
         assert torch.equal(plain, plain.mT) or torch.allclose(plain, plain.mT, rtol=1e-4)
@@ -143,7 +126,8 @@ def test_covariances_are_in_the_axes_of_the_map(name: str) -> None:
 
 
 def test_scene_is_the_true_one_in_training_and_the_likeliest_in_testing(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = small_mst(scenes=2)
+    model = made("MS-T", 2)
+    assert isinstance(model, MSTransformer)
     position_BSC, rotation_BSC = torch.randn(3, 2, 256), torch.randn(3, 2, 256)
     logits_BS = torch.tensor([[0.0, 1], [2, 0], [0, 3]])
     monkeypatch.setattr(model, "_decode", lambda _: (position_BSC, rotation_BSC, logits_BS))
@@ -164,7 +148,7 @@ def test_scene_is_the_true_one_in_training_and_the_likeliest_in_testing(monkeypa
 
 
 def test_frames_of_the_network_are_undone() -> None:
-    model = PoseNet()
+    model = made("PN")
     poses = some_poses(20)
     model.frames.fit(poses, normalise_position=True, centre_rotation=True)
     position, quaternion = model.frames.from_map(poses)

@@ -11,7 +11,7 @@ from groundwalk.training.models.posenet import PoseNet
 from groundwalk.training.models.posenet_lite import PoseNetLite
 from groundwalk.training.models.regressor import BackboneRegressor
 from groundwalk.training.models.resnet import ResNet34
-from groundwalk.training.regressor_settings import LiteSettings
+from groundwalk.training.regressor_settings import LiteSettings, MSTransformerSettings, PoseNetSettings
 from groundwalk.training.weights import load_first_weights
 
 
@@ -22,7 +22,7 @@ def fill(model: BackboneRegressor, weights: str, downloads: Path) -> str:
 def test_a_state_dict_of_torchvision_fills_the_backbone(tmp_path: Path) -> None:
     source = ResNet34(classes=1000)
     torch.save(source.state_dict(), tmp_path / "resnet34.pth")
-    model = PoseNet()
+    model = PoseNet(PoseNetSettings())
     origin = fill(model, str(tmp_path / "resnet34.pth"), tmp_path)
     assert origin.startswith("file resnet34.pth, sha256 ")
     for name, tensor in model.backbone.state_dict().items():
@@ -32,16 +32,16 @@ def test_a_state_dict_of_torchvision_fills_the_backbone(tmp_path: Path) -> None:
 def test_a_file_of_another_network_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "weights.pth"
     with pytest.raises(UserError, match="isn't there"):
-        fill(PoseNet(), str(path), tmp_path)
+        fill(PoseNet(PoseNetSettings()), str(path), tmp_path)
     path.write_text("nothing")
     with pytest.raises(UserError, match="can't be read"):
-        fill(PoseNet(), str(path), tmp_path)
+        fill(PoseNet(PoseNetSettings()), str(path), tmp_path)
     torch.save(ResNet34(classes=1000).state_dict(), path)
     with pytest.raises(UserError, match=r"another network[\s\S]*missing"):
-        fill(MSTransformer(layers=1), str(path), tmp_path)
+        fill(MSTransformer(MSTransformerSettings(layers=1)), str(path), tmp_path)
     torch.save([1, 2], path)
     with pytest.raises(UserError, match="no state dict"):
-        fill(PoseNet(), str(path), tmp_path)
+        fill(PoseNet(PoseNetSettings()), str(path), tmp_path)
 
 
 def test_weights_that_cannot_be_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -49,7 +49,7 @@ def test_weights_that_cannot_be_fetched(tmp_path: Path, monkeypatch: pytest.Monk
         raise OSError("no route")
 
     monkeypatch.setattr(weights, "_download", unreachable)
-    model = PoseNet()
+    model = PoseNet(PoseNetSettings())
     assert fill(model, "auto", tmp_path) == "scratch (ImageNet weights could not be fetched: no route)"
     with pytest.raises(UserError, match=r"no route[\s\S]*resnet34-b627a593\.pth"):
         fill(model, "imagenet", tmp_path)
@@ -60,7 +60,9 @@ def test_weights_that_cannot_be_fetched(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_a_weights_file_of_another_version_or_cut_short_says_so(tmp_path: Path) -> None:
     file = tmp_path / "PN-Lite.pt"
-    save_trained(file, "PN-Lite", LiteSettings(), Trained(PoseNetLite(), ["Church"], 120, 120, None, 160, True))
+    settings = LiteSettings()
+    trained = Trained(PoseNetLite(settings), ["Church"], 120, 120, None, 160, True)
+    save_trained(file, "PN-Lite", settings, trained)
     assert load_trained(file).width == 160
     content = torch.load(file, weights_only=True)
     del content["state"]["whitening.axes"]

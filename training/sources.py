@@ -1,0 +1,134 @@
+"""What an epoch goes over: training images, or features of a frozen backbone, computed once and kept in a file."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from groundwalk.store.child import Report
+from groundwalk.store.files import written_aside
+from groundwalk.training.data import Frames, Jitter, Turns, View, normalised, pose_batch
+from groundwalk.training.evaluation import errors, pose_errors
+from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
+from groundwalk.training.poses import PoseBatch
+from groundwalk.training.regressor_settings import RegressorSettings
+from groundwalk.training.steps import Precision
+
+COPIES = 20  # turned and re-coloured ones of each training image
+_BATCH = 32
+_FIT_ROWS = 2000  # features are whitened by so many rows at most
+_REDUCED_ROWS = 512  # at once
+
+
+@dataclass(frozen=True)
+class Run:
+    """Which model is trained, where and how exactly."""
+
+    title: str
+    settings: RegressorSettings
+    device: torch.device
+    precision: Precision
+    view: View
+    seed: int
+    folder: Path
+    checkpoint_s: float = 60.0
+    """least time between two checkpoints"""
+    unit: str = "m"
+    """of lengths, in words for the user"""
+
+
+class ImageSource:
+    """Training images, cropped, turned and re-coloured anew in every epoch."""
+
+    def __init__(self, model: PoseRegressor, training: Frames, held_out: Frames, run: Run) -> None:
+        self.model, self.training, self.held_out, self.run = model, training, held_out, run
+        self.scene_N = training.scene_N
+
+    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
+        """What the loss of some rows is computed from (see `gradient_step`), and the true poses."""
+        recipe = self.run.settings.training
+        turns = Turns(*recipe.turn_deg) if recipe.turn_deg else None
+        rows = self.training.sequences(rows, *self.model.sequence())
+        image, poses = self.training.select(rows).training_crops(self.run.view, turns, rng, self.run.device)
+        image = normalised(Jitter(*recipe.jitter).apply(image, rng))
+        return image.contiguous(memory_format=torch.channels_last), poses
+
+    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Position (m) and rotation errors (deg) on the held-out frames."""
+        return pose_errors(self.model, self.held_out, self.run.view, self.run.device)
+
+
+class FeatureSource:
+    """Features of each training image and of its turned and re-coloured copies, reduced once: row c * N + i is copy c
+    of frame i, copy 0 the image itself. `resumed`: the model knows already how they are reduced."""
+
+    @torch.no_grad()
+    def __init__(
+        self, report: Report, model: FrozenRegressor, training: Frames, held_out: Frames, run: Run, resumed: bool
+    ) -> None:
+        self.model, self.training, self.held_out, self.run = model, training, held_out, run
+        self.scene_N = np.tile(training.scene_N, COPIES + 1)
+        features, self.quaternion_M4 = feature_cache(model, training, run, report)
+        model.eval()
+        if not resumed:
+            rows = np.linspace(0, len(features) - 1, min(len(features), _FIT_ROWS)).astype(np.int64)
+            model.fit_features(torch.from_numpy(np.asarray(features[rows])).to(run.device))
+        starts = range(0, len(features), _REDUCED_ROWS)
+        parts = (torch.from_numpy(np.array(features[start : start + _REDUCED_ROWS])) for start in starts)
+        self.reduced = torch.cat([model.reduced(part.to(run.device)).cpu() for part in parts])
+        self.held_out_reduced = model.reduced(model.features(held_out.centre_crops(run.view, run.device)))
+
+    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
+        """As of images."""
+        frames = rows % len(self.training)
+        position, scene = self.training.position_N3[frames], self.training.scene_N[frames]
+        poses = pose_batch(position, self.quaternion_M4[rows], scene, self.run.device)
+        return self.reduced[torch.from_numpy(rows)].to(self.run.device), poses
+
+    @torch.no_grad()
+    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """As of images."""
+        poses = self.model.eval().answer(self.held_out_reduced)
+        return errors(*self.held_out.camera_poses(poses, self.run.view), self.held_out)
+
+
+@torch.no_grad()
+def feature_cache(
+    model: FrozenRegressor, training: Frames, run: Run, report: Report
+) -> tuple[NDArray[np.float16], NDArray[np.float64]]:
+    """Features (M, ...) of all copies and the quaternions (M, 4) of their poses. They are kept in a folder, where an
+    earlier run may have left them; `quaternions.npy` comes last and marks it as whole.
+
+    A copy's randomness comes from (seed, copy).
+    """
+    folder = run.folder / "features"
+    done, kept = folder / "quaternions.npy", folder / "features.npy"
+    if not done.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        model.eval()
+        recipe = run.settings.training
+        turns, jitter = Turns(*(recipe.turn_deg or (0, 0, 0))), Jitter(*recipe.jitter)
+        file = None
+        quaternions = []
+        for copy in range(COPIES + 1):
+            rng = np.random.default_rng([run.seed, copy])
+            angles, colours = (turns, jitter) if copy else (Turns(0, 0, 0), Jitter(0, 0, 0, 0))
+            for start in range(0, len(training), _BATCH):
+                rows = np.arange(start, min(start + _BATCH, len(training)))
+                image, poses = training.select(rows).training_crops(run.view, angles, rng, run.device)
+                image = normalised(colours.apply(image, rng)).contiguous(memory_format=torch.channels_last)
+                features = model.features(image)
+                if file is None:
+                    shape = ((COPIES + 1) * len(training), *features.shape[1:])
+                    file = np.lib.format.open_memmap(kept, "w+", np.float16, shape)
+                file[copy * len(training) + rows] = features.half().cpu().numpy()
+                quaternions.append(poses.quaternion_B4.cpu().numpy())
+            report(0, f"features {copy + 1}/{COPIES + 1}")
+        assert file is not None, "there are training frames"
+        file.flush()
+        with written_aside(done) as partial, partial.open("wb") as out:
+            np.save(out, np.concatenate(quaternions).astype(np.float64))
+    return np.load(kept, mmap_mode="r"), np.load(done)
