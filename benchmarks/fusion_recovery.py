@@ -181,7 +181,7 @@ def recovery(plain: Course, spoilt: Course, at: int, end: int) -> Recovery:
 def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, object]]:
     """A row a walk, trouble and method of a scene and regressor."""
     scene, model = pair
-    case = inputs.simulated_case(inputs.SIMULATED, scene, model, [0])
+    case = inputs.simulated_case(inputs.SIMULATED, scene, model)
     rows: list[dict[str, object]] = []
     for number, walk in enumerate(case.walks):
         at = len(walk) // 3

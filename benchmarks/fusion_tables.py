@@ -36,9 +36,6 @@ def main(
     every: Annotated[str, typer.Option(help="Frames of 7-Scenes that are a second, joined by commas.")] = "30,10",
     trained: Annotated[Path | None, typer.Option(help="Folder of trainings (build/regressors).")] = None,
     models: Annotated[str, typer.Option(help="Regressors trained there, joined by commas.")] = "PN,MS-T",
-    recordings: Annotated[
-        Path | None, typer.Option(help="Folder of real odometry: docs/explanation/vio-drift.md.")
-    ] = None,
     kinds: Annotated[str, typer.Option(help="Kinds of simulated walks, joined by commas.")] = ",".join(KINDS),
     seeds: Annotated[int, typer.Option(min=1, help="Draws of odometry's drift for published predictions.")] = 3,
 ) -> None:
@@ -56,20 +53,8 @@ def main(
     if trained is not None:
         names = write_trained(out / f"trained {models.replace(',', ' and ')}", trained, models.split(","))
         lines.append(f"trained regressors: in simulated scenes, {', '.join(names)}")
-    if recordings is not None:
-        for kind, tracks in (
-            (inputs.RECORDED, inputs.recorded_tracks(recordings)),
-            (inputs.MEASURED, inputs.measured_tracks(recordings)),
-        ):
-            for i, scene in enumerate(NAMES):  # each recording is in some scenes
-                some = [tracks[(i + 3 * k) % len(tracks)] for k in range(min(3, len(tracks)))]
-                write_cases(out / kind, [inputs.recorded_case(kind, some, scene, model) for model in REGRESSORS])
-        lines.append(
-            "recorded: real odometry; the true walk is its motion with a drift of the fitted size; measured: real "
-            "odometry beside motion capture; predictions as wrong as the published PN and MS-T in the scene"
-        )
     for kind in filter(None, kinds.split(",")):
-        draws = [inputs.simulated_case(kind, scene, model, [0]) for scene in NAMES for model in REGRESSORS]
+        draws = [inputs.simulated_case(kind, scene, model) for scene in NAMES for model in REGRESSORS]
         write_cases(out / kind, draws)
     lines.append(
         "other groups: simulated walks, odometry and predictions (as wrong as the published PN and MS-T), seed 0"

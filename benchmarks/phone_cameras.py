@@ -213,7 +213,7 @@ def _stock(phone: Phone, root: DataRoot, folder: Path, ours: dict[str, Any]) -> 
     settings = resolve_settings(SfmSettings, "sfm", root, PROFILE, phone.scene, [])
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    command = stock_command(phone.scene, PROFILE, root, folder, settings, "opencv")
+    command = stock_command(phone.scene, PROFILE, root, folder, settings)
     status, cost = run_timed(command, folder, folder / "log.txt")
     if status:
         raise UserError("stock COLMAP failed", where=folder / "log.txt", found=f"exit status {status}")

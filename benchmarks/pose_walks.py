@@ -16,6 +16,8 @@ from groundwalk.simulation.walks import plan_walk
 from groundwalk.store import DataRoot
 from groundwalk.store.settings import SHIPPED_DATA, resolve_settings
 
+_SEED = 0
+
 
 @dataclass(frozen=True, eq=False)
 class PoseWalk:
@@ -26,24 +28,21 @@ class PoseWalk:
     map_T_cam: Array
 
 
-def pose_walks(scene: str, kind: str = "test", seed: int = 0) -> list[PoseWalk]:
-    """The walks of one kind ("train", "test") with as many images as Table I lists.
+@cache
+def pose_walks(scene: str) -> list[PoseWalk]:
+    """The test walks, with as many images as Table I lists.
 
     The map is that of the ground truth: its origin is where the first session began. UserError for an unknown scene.
     """
-    return [w for w in _all_walks(scene, seed) if w.name.startswith(f"{kind}-")]
-
-
-@cache
-def _all_walks(scene: str, seed: int) -> list[PoseWalk]:
     settings = resolve_settings(SimulateSettings, "simulate", DataRoot(SHIPPED_DATA), "paper", scene, [])
-    plan = scenery(scene, seed)
+    plan = scenery(scene, _SEED)
     walks = []
-    for session in outline(settings, scene, seed):
-        rng = np.random.default_rng([seed, zlib.crc32(f"{scene}/{session.name}".encode())])
+    for session in outline(settings, scene, _SEED):
+        rng = np.random.default_rng([_SEED, zlib.crc32(f"{scene}/{session.name}".encode())])
         seconds = np.arange(session.images) / settings.image_hz
         walk = plan_walk(plan.route, plan.place, session.images / settings.image_hz, session.side, session.start, rng)
         t_ns = np.round((session.boot_s + seconds) * 1e9).astype(np.int64)
         walks.append(PoseWalk(session.name, t_ns, walk.world_T_cam(seconds)))
     map_T_world = inverse(start_frame(min(walks, key=lambda w: w.name).map_T_cam[0]))
-    return [PoseWalk(w.name, w.t_ns, map_T_world @ w.map_T_cam) for w in walks]
+    tested = [w for w in walks if w.name.startswith("test-")]
+    return [PoseWalk(w.name, w.t_ns, map_T_world @ w.map_T_cam) for w in tested]

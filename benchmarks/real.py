@@ -186,7 +186,7 @@ def run_case(case: Case, folder: Path, pictures: Path) -> Result:
     if run.has("import"):
         print(f"  {case.name}: stock COLMAP", flush=True)
         settings = resolve_settings(SfmSettings, "sfm", run.root, run.profile, case.name, [])
-        command = stock_command(case.name, run.profile, run.root, run.stock_folder, settings, "opencv")
+        command = stock_command(case.name, run.profile, run.root, run.stock_folder, settings)
         status, run.costs[STOCK] = run_timed(command, run.stock_folder, folder / "stock.log")
         if status:
             raise UserError("stock COLMAP failed", where=folder / "stock.log", found=f"exit status {status}")

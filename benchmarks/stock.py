@@ -7,7 +7,7 @@ options.
 import shutil
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
@@ -15,15 +15,13 @@ import pycolmap
 import typer
 
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.database import Ints, create_database, image_id, image_names
+from groundwalk.sfm.database import Ints, image_id, image_names
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of, read_table
-
-CameraChoice = Literal["captured", "opencv"]
 
 MOST_EXHAUSTIVE = 600
 """Images up to which every pair is matched; 180,000 pairs take half an hour on two cores."""
@@ -34,13 +32,11 @@ _MAX_IMAGE_SIZE = 1600
 app = new_app(__doc__ or "")
 
 
-def stock_command(
-    scene: str, profile: str, root: DataRoot, folder: Path, settings: SfmSettings, camera: CameraChoice
-) -> list[str]:
+def stock_command(scene: str, profile: str, root: DataRoot, folder: Path, settings: SfmSettings) -> list[str]:
     """The command that maps an imported scene into `folder` with stock COLMAP; features as `settings` say."""
     return [
         *(sys.executable, "-m", "benchmarks.stock", "--scene", scene, "--profile", profile, "--data", str(root.root)),
-        *("--out", str(folder), "--camera", camera, "--settings", settings.model_dump_json()),
+        *("--out", str(folder), "--settings", settings.model_dump_json()),
     ]
 
 
@@ -64,7 +60,7 @@ def stock_poses(folder: Path, frames: int) -> tuple[Array, np.ndarray]:
     return model.sfm_T_cam, model.model
 
 
-def session_cameras(frames: pd.DataFrame) -> tuple[list[pycolmap.Camera], Ints]:
+def _session_cameras(frames: pd.DataFrame) -> tuple[list[pycolmap.Camera], Ints]:
     """An OPENCV camera for each session and image size, without distortion, at the median of the logged intrinsics; and
     which of them each frame has (N,)."""
     sizes = frames.groupby(["session_id", "width", "height"], sort=True)
@@ -78,7 +74,7 @@ def session_cameras(frames: pd.DataFrame) -> tuple[list[pycolmap.Camera], Ints]:
     return cameras, np.asarray(sizes.ngroup(), np.int64)
 
 
-def create_shared_database(path: Path, names: list[str], cameras: list[pycolmap.Camera], camera_of_frame: Ints) -> None:
+def _create_database(path: Path, names: list[str], cameras: list[pycolmap.Camera], camera_of_frame: Ints) -> None:
     """A COLMAP database with these cameras, and one frame and image for each name with the camera of that index."""
     with pycolmap.Database.open(path) as database, pycolmap.DatabaseTransaction(database):
         for camera in cameras:
@@ -103,13 +99,6 @@ def main(
     settings: Annotated[str, typer.Option(help="Settings of the sfm stage as JSON, for its features.")],
     profile: ProfileOption = "demo",
     data: DataOption = Path("data"),
-    camera: Annotated[
-        CameraChoice,
-        typer.Option(
-            help="captured: each image's logged intrinsics, fixed (if free, one image's focal length is a guess); "
-            "opencv: an OPENCV camera a session, started at the logged intrinsics and refined."
-        ),
-    ] = "opencv",
     prior_sd_m: Annotated[
         float,
         typer.Option(
@@ -118,7 +107,7 @@ def main(
         ),
     ] = 0.0,
 ) -> None:
-    """Map an imported scene with stock COLMAP."""
+    """Map an imported scene with stock COLMAP: an OPENCV camera a session, started at the logged intrinsics."""
     sfm_settings, root = SfmSettings.model_validate_json(settings), DataRoot(data)
     frames = read_table(root.run(profile, scene, "import") / "frames.parquet", schema("import", "frames"))
     shutil.rmtree(out, ignore_errors=True)
@@ -129,10 +118,7 @@ def main(
         source = (root.captures(scene) if inside == image else root.run(profile, scene, "import")) / inside
         (images / name).parent.mkdir(parents=True, exist_ok=True)
         (images / name).symlink_to(source.resolve())
-    if camera == "captured":
-        create_database(database, frames, names)
-    else:
-        create_shared_database(database, names, *session_cameras(frames))
+    _create_database(database, names, *_session_cameras(frames))
 
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.use_gpu = False
@@ -145,9 +131,6 @@ def main(
     )
     _match(database, len(names))
     options = pycolmap.IncrementalPipelineOptions()
-    if camera == "captured":
-        options.ba_refine_focal_length = options.ba_refine_extra_params = False
-        options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
     if prior_sd_m:
         _write_priors(database, frames, prior_sd_m)
         options.use_prior_position = options.use_robust_loss_on_prior_position = True

@@ -22,14 +22,14 @@ app = new_app("Faults on purpose, and what became of them.")
 WORK = Path("build/faults")
 
 
-def single_cases(base: Sandbox, machine_count: int = 8) -> list[Case]:
+def single_cases(base: Sandbox) -> list[Case]:
     """Every fault that is one command."""
     return [
         *artefacts.cases(base),
         *artefacts.image_cases(),
         *artefacts.output_cases(),
         *names.cases(),
-        *machine.cases(machine_count),
+        *machine.cases(8),
         *rooms.cases(base),
     ]
 

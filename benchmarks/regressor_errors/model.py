@@ -24,7 +24,6 @@ from scipy.special import chdtri
 
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, make_pose
-from groundwalk.store import UserError
 
 FIT_FILE = Path(__file__).with_name("sizes.toml")
 
@@ -159,12 +158,9 @@ def _fields(where: Array, count: int, seed: list[int]) -> Array:
     return np.sqrt(2 / _FEATURES) * np.stack(waves, axis=1)
 
 
-def read_apr_models(path: Path = FIT_FILE) -> dict[tuple[str, str], AprModel]:
+def read_apr_models() -> dict[tuple[str, str], AprModel]:
     """Models by (scene, regressor), as `python -m benchmarks.regressor_errors.fit` wrote them."""
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, tomllib.TOMLDecodeError) as error:
-        raise UserError("the sizes of the regressors' errors can't be read", where=path, found=error) from None
+    content = tomllib.loads(FIT_FILE.read_text(encoding="utf-8"))
     return {
         (scene, regressor): AprModel(**{name: float(value) for name, value in values.items()})
         for scene, regressors in content.items()
