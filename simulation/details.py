@@ -238,9 +238,9 @@ def bookcase(c: Canvas, colour: Bgr, shelf_m: float = 0.36) -> None:
     c.add(c.noise((0.05, 0.3)), (4, 4, 4))
 
 
-def ivy(c: Canvas, x: float, y: float, w: float, h: float, density: float = 60.0) -> None:
+def ivy(c: Canvas, x: float, y: float, w: float, h: float) -> None:
     """Leaves over a wall, thick at the bottom."""
-    count = round(density * w * h)
+    count = round(60.0 * w * h)
     u = x + w * c.rng.uniform(0, 1, count)
     v = y + h * c.rng.beta(1, 2, count)
     for a, b in zip(u, v, strict=True):

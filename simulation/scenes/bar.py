@@ -30,7 +30,7 @@ def build(seed: int) -> Place:
         b.bench(f"bench{k}", (x, z), yaw)
     for k, at in enumerate(((-18, 14.8), (18.5, 14.6), (-11.5, -14.4))):
         parts.bin_(b, f"bin{k}", at)
-    parts.kiosk(b, "kiosk", (-21.5, 4.0), 80)
+    parts.kiosk(b, (-21.5, 4.0), 80)
     return b.place
 
 

@@ -64,9 +64,9 @@ class Builder:
         """A level rectangle seen from above, x to the right and -z up in its picture."""
         self.quad(name, (low[0], y, high[1]), (high[0] - low[0], 0, 0), (0, 0, low[1] - high[1]), paint, texel)
 
-    def ceiling(self, name: str, low: Xz, high: Xz, y: float, paint: Material, texel: float = 1.5) -> None:
+    def ceiling(self, name: str, low: Xz, high: Xz, y: float, paint: Material) -> None:
         """A level rectangle seen from below."""
-        self.quad(name, (low[0], y, low[1]), (high[0] - low[0], 0, 0), (0, 0, high[1] - low[1]), paint, texel)
+        self.quad(name, (low[0], y, low[1]), (high[0] - low[0], 0, 0), (0, 0, high[1] - low[1]), paint, 1.5)
 
     def box(
         self,
@@ -153,20 +153,18 @@ class Builder:
         shape = centre + vertices * (radius * bumps)[:, None] * [1, 0.85, 1]
         self.place.crowns.append(Crown(name, shape[faces], paint))
 
-    def bench(self, name: str, centre: Xz, yaw_deg: float, bottom: float = 0.0) -> None:
+    def bench(self, name: str, centre: Xz, yaw_deg: float) -> None:
         """A park bench with a back; one sits looking along +z before it is turned."""
         turn = math.radians(yaw_deg)
         boards = wood(((40, 70, 110), (60, 90, 120), (50, 90, 60))[self.rng.integers(3)], 0.1)
         back = (centre[0] - 0.22 * math.sin(turn), centre[1] - 0.22 * math.cos(turn))
         with self.movable(name):
-            self.box(
-                f"{name}.seat", centre, (1.7, 0.07, 0.45), boards, bottom=bottom + 0.42, yaw_deg=yaw_deg, faces="fblrtu"
-            )
-            self.box(f"{name}.back", back, (1.7, 0.42, 0.06), boards, bottom=bottom + 0.52, yaw_deg=yaw_deg)
+            self.box(f"{name}.seat", centre, (1.7, 0.07, 0.45), boards, bottom=0.42, yaw_deg=yaw_deg, faces="fblrtu")
+            self.box(f"{name}.back", back, (1.7, 0.42, 0.06), boards, bottom=0.52, yaw_deg=yaw_deg)
             for side in (-0.7, 0.7):
                 leg = (centre[0] + side * math.cos(turn), centre[1] - side * math.sin(turn))
                 size = (0.08, 0.42, 0.4)
-                self.box(f"{name}.leg{side}", leg, size, plain((50, 50, 50)), bottom=bottom, yaw_deg=yaw_deg)
+                self.box(f"{name}.leg{side}", leg, size, plain((50, 50, 50)), yaw_deg=yaw_deg)
 
     def lamp_post(self, name: str, centre: Xz, height: float = 4.0) -> None:
         """A pole with stickers and a lantern."""

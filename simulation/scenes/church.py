@@ -163,7 +163,7 @@ def _yard(b: Builder) -> None:
         b.bench(f"bench{k}", (x, z), yaw)
     for k, at in enumerate(((-20.5, 6), (-20, -9.5), (-7, -9.2), (10, -9), (19.5, -8), (20, 9), (6, 9.6), (-8, 9.8))):
         b.lamp_post(f"lamp{k}", at)
-    parts.kiosk(b, "kiosk", (17.5, 13.5), 25)
+    parts.kiosk(b, (17.5, 13.5), 25)
     parts.car(b, "van", (-11, 17.6), 3)
     parts.car(b, "car", (12, 17.8), -2)
     for k, at in enumerate(((-15, -14.5), (15, -9.5), (19.8, 6.2))):

@@ -1,7 +1,7 @@
 """Houses and other things that more than one scene has."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -113,21 +113,47 @@ class Facade:
         details.shop_sign(c, 0.4, self.storey_m - 0.62, w - 0.8, 0.58)
 
 
-def house(
-    b: Builder, name: str, left: Xz, right: Xz, facade: Facade, roof: Material = ROOF_TILES, depth: float = 4.0
-) -> None:
-    """A house whose front runs from left to right as one faces it; side walls and a roof behind it."""
-    a, c = np.array(left), np.array(right)
-    along = (c - a) / np.linalg.norm(c - a)
-    back = np.array([along[1], -along[0]])
+@dataclass(frozen=True)
+class _Front:
+    """A house's front: its corners (x, z), left and right as one faces it."""
+
+    name: str
+    left: Vec
+    right: Vec
+
+    @property
+    def width_m(self) -> float:
+        return float(np.linalg.norm(self.right - self.left))
+
+    @property
+    def along(self) -> Vec:
+        direction: Vec = (self.right - self.left) / self.width_m
+        return direction
+
+    @property
+    def out(self) -> Vec:
+        return np.array([-self.along[1], self.along[0]])
+
+    @property
+    def yaw_deg(self) -> float:
+        return math.degrees(math.atan2(-self.along[1], self.along[0]))
+
+    def at(self, x: float, forward: float) -> Xz:
+        """The point so far along the front and out of it."""
+        p = self.left + x * self.along + forward * self.out
+        return float(p[0]), float(p[1])
+
+
+def _house(b: Builder, front: _Front, facade: Facade, roof: Material) -> None:
+    """A house behind its front: side walls and a roof."""
+    name, depth, width, along, back = front.name, 4.0, front.width_m, front.along, -front.out
+    left, right = front.left, front.right
     top = facade.storeys * facade.storey_m + 0.7
-    b.wall(name, left, right, 0, top, facade.paint)
-    far_left, far_right = a + depth * back, c + depth * back
-    plain = replace(facade, posters=0, graffiti=False, shop=False, blank=0.5)
-    b.wall(f"{name}.left", tuple(far_left), left, 0, top, plain.wall, 2)
-    b.wall(f"{name}.right", right, tuple(far_right), 0, top, plain.wall, 2)
-    width = float(np.linalg.norm(c - a))
-    eaves = a - 0.35 * along - 0.35 * back
+    b.wall(name, tuple(left), tuple(right), 0, top, facade.paint)
+    far_left, far_right = left + depth * back, right + depth * back
+    b.wall(f"{name}.left", tuple(far_left), tuple(left), 0, top, facade.wall, 2)
+    b.wall(f"{name}.right", tuple(right), tuple(far_right), 0, top, facade.wall, 2)
+    eaves = left - 0.35 * along - 0.35 * back
     b.quad(
         f"{name}.roof",
         (eaves[0], top, eaves[1]),
@@ -136,48 +162,22 @@ def house(
         roof,
         1.5,
     )
-    middle = (a + c) / 2
-    yaw = math.degrees(math.atan2(-along[1], along[0]))
-    cornice = materials.plain((170, 178, 184))
-    at = middle - 0.1 * back
     b.box(
         f"{name}.cornice",
-        tuple(at),
+        tuple((left + right) / 2 - 0.1 * back),
         (width, 0.3, 0.25),
-        cornice,
+        materials.plain((170, 178, 184)),
         bottom=top - 0.3,
-        yaw_deg=yaw,
+        yaw_deg=front.yaw_deg,
         faces="flru",
         solid=False,
     )
-    low = np.minimum.reduce([a, c, far_left, far_right])
-    high = np.maximum.reduce([a, c, far_left, far_right])
+    low, high = (extreme.reduce([left, right, far_left, far_right]) for extreme in (np.minimum, np.maximum))
     b.block((low[0], 0, low[1]), (high[0], top, high[1]))
 
 
-@dataclass(frozen=True)
-class _Front:
-    """A front's left corner, its direction and that out of it (x, z), width and heading."""
-
-    name: str
-    left: Vec
-    along: Vec
-    out: Vec
-    width_m: float
-    yaw_deg: float
-
-    def at(self, x: float, forward: float) -> Xz:
-        p = self.left + x * self.along + forward * self.out
-        return float(p[0]), float(p[1])
-
-
-def dress(b: Builder, name: str, left: Xz, right: Xz, facade: Facade) -> None:
+def _dress(b: Builder, front: _Front, facade: Facade) -> None:
     """Things that stand out from a front: awnings, balconies, hanging signs, boxes of flowers, a drainpipe."""
-    a, c = np.array(left), np.array(right)
-    width = float(np.linalg.norm(c - a))
-    along = (c - a) / width
-    out = np.array([-along[1], along[0]])
-    front = _Front(name, a, along, out, width, math.degrees(math.atan2(-along[1], along[0])))
     rng = b.rng
     if facade.shop:
         _awning(b, front, facade)
@@ -187,16 +187,16 @@ def dress(b: Builder, name: str, left: Xz, right: Xz, facade: Facade) -> None:
     if rng.random() < 0.75:
         _sign(b, front)
     b.box(
-        f"{name}.pipe",
-        front.at(width - 0.2, 0.07),
+        f"{front.name}.pipe",
+        front.at(front.width_m - 0.2, 0.07),
         (0.12, facade.storeys * facade.storey_m, 0.12),
         materials.plain((90, 100, 96)),
         yaw_deg=front.yaw_deg,
         faces="flr",
     )
     if rng.random() < 0.6:
-        x = rng.uniform(0.8, max(0.9, width - 0.8))
-        planter(b, f"{name}.planter", front.at(x, 0.45), front.yaw_deg)
+        x = rng.uniform(0.8, max(0.9, front.width_m - 0.8))
+        planter(b, f"{front.name}.planter", front.at(x, 0.45), front.yaw_deg)
 
 
 def _awning(b: Builder, front: _Front, facade: Facade) -> None:
@@ -261,20 +261,17 @@ def row_of_houses(
     b: Builder, name: str, left: Xz, right: Xz, facades: list[Facade], widths: list[float], setback_m: float = 0.6
 ) -> None:
     """Houses side by side from left to right, `widths` sharing the length; some stand back a little."""
-    a, c = np.array(left), np.array(right)
-    length = float(np.linalg.norm(c - a))
-    along = (c - a) / length
-    back = np.array([along[1], -along[0]])
-    marks = np.concatenate([[0], np.cumsum(widths)]) / sum(widths) * length
+    row = _Front(name, np.array(left), np.array(right))
+    marks = np.concatenate([[0], np.cumsum(widths)]) / sum(widths) * row.width_m
     for k, facade in enumerate(facades):
-        step = back * b.rng.uniform(0, setback_m)
-        ends = [a + marks[k + i] * along + step for i in (0, 1)]
-        (x0, z0), (x1, z1) = ends
-        house(b, f"{name}{k}", (x0, z0), (x1, z1), facade, [ROOF_TILES, SLATES][k % 2])
-        dress(b, f"{name}{k}", (x0, z0), (x1, z1), facade)
+        step = -row.out * b.rng.uniform(0, setback_m)
+        ends = [row.left + marks[k + i] * row.along + step for i in (0, 1)]
+        front = _Front(f"{name}{k}", *ends)
+        _house(b, front, facade, [ROOF_TILES, SLATES][k % 2])
+        _dress(b, front, facade)
 
 
-def kiosk(b: Builder, name: str, centre: Xz, yaw_deg: float = 0.0) -> None:
+def kiosk(b: Builder, centre: Xz, yaw_deg: float) -> None:
     """An advertising pillar's square cousin: a stall covered with posters."""
 
     def side(c: Canvas) -> None:
@@ -284,8 +281,8 @@ def kiosk(b: Builder, name: str, centre: Xz, yaw_deg: float = 0.0) -> None:
                 details.poster(c, 0.12 + 0.78 * k, 0.25 + 1.05 * row, 0.62, 0.9)
         details.shop_sign(c, 0.1, c.height_m - 0.38, c.width_m - 0.2, 0.34)
 
-    with b.movable(name):
-        b.box(name, centre, (2.0, 2.6, 1.6), side, yaw_deg=yaw_deg)
+    with b.movable("kiosk"):
+        b.box("kiosk", centre, (2.0, 2.6, 1.6), side, yaw_deg=yaw_deg)
 
 
 def car(b: Builder, name: str, centre: Xz, yaw_deg: float) -> None:

@@ -27,7 +27,7 @@ def build(seed: int) -> Place:
         b.lamp_post(f"lamp{k}", at, 3.8)
     for k, at in enumerate(((6.5, 10.2), (-17.3, 8.8), (-11.0, -10.4))):
         parts.bin_(b, f"bin{k}", at)
-    parts.kiosk(b, "kiosk", (-6.2, -2.2), 70)
+    parts.kiosk(b, (-6.2, -2.2), 70)
     return b.place
 
 
