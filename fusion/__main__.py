@@ -41,13 +41,11 @@ def sweep(
     predictions: TableOption,
     out: OutOption,
     scene: NameOption = "scene",
-    every: Annotated[bool, typer.Option("--every", help="All combinations too, not only one at a time.")] = False,
-    processes: Annotated[int, typer.Option(min=1, help="Worker processes, at most one a model.")] = 1,
     set_: SetOption = None,
     force: ForceOption = False,
 ) -> None:
     """The paper's rule with other thresholds: how errors and coverage move with N, d_th, o_th and gamma."""
-    sweep_files(Files(frames, ground_truth, predictions), out, scene, set_ or [], every, processes, force)
+    sweep_files(Files(frames, ground_truth, predictions), out, scene, set_ or [], force)
 
 
 @app.command()

@@ -22,7 +22,7 @@ from groundwalk.fusion.evaluation.summary import intervals, summarise
 from groundwalk.fusion.evaluation.sweep import around, sweep
 from groundwalk.fusion.evaluation.validation import validation_rows
 from groundwalk.fusion.files.quaternion_order import refuse_scalar_first
-from groundwalk.fusion.files.walks import Evaluated, Inputs, check_frames, check_predictions, evaluated
+from groundwalk.fusion.files.walks import Evaluated, Inputs, check, evaluated
 from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.fusion.methods.paper_rule import PaperRuleOptions
@@ -164,12 +164,11 @@ def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator
 
 def joined_walks(inputs: Inputs, splits: Sequence[str]) -> Iterator[tuple[str, Evaluated]]:
     """Each model's name and walks. UserError for inputs that can't be evaluated."""
-    check_frames(inputs.frames, inputs.truth, f"of {inputs.scene}")
-    check_predictions(inputs.frames, inputs.predictions, f"of {inputs.scene}")
+    check(inputs)
     for model, predictions in inputs.predictions.groupby("model", sort=False):
         of_model = evaluated(inputs.scene, inputs.frames, inputs.truth, predictions, splits)
         if model not in inputs.made_here:
-            refuse_scalar_first(of_model.walks, f"of {inputs.scene}")
+            refuse_scalar_first(of_model.walks, inputs.scene)
         yield str(model), of_model
 
 

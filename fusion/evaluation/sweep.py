@@ -1,15 +1,8 @@
-"""How much the paper's rule depends on its thresholds: many settings over the same walks.
-
-`around` changes one threshold at a time, for the sensitivity figure; `grid` has every combination.
-"""
+"""How much the paper's rule depends on its thresholds: one at a time is changed, over the same walks."""
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from itertools import product
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 from matplotlib.axes import Axes
@@ -31,43 +24,25 @@ VALUES: dict[str, tuple[float, ...]] = {
 }
 
 
-@dataclass(frozen=True)
-class Setting:
-    """Options of the rule; `varied` names the threshold that differs from the others, "" where several do."""
+class Setting(NamedTuple):
+    """Options of the rule; `varied` names the threshold that differs from the others."""
 
     options: PaperRuleOptions
-    varied: str = ""
+    varied: str
 
 
-def around(options: PaperRuleOptions, values: dict[str, tuple[float, ...]] = VALUES) -> list[Setting]:
+def around(options: PaperRuleOptions) -> list[Setting]:
     """One threshold at a time, from the given options."""
     base = options.model_dump()
     return [
-        Setting(PaperRuleOptions(**base | {name: value}), name) for name, tried in values.items() for value in tried
+        Setting(PaperRuleOptions(**base | {name: value}), name) for name, tried in VALUES.items() for value in tried
     ]
 
 
-def grid(options: PaperRuleOptions, values: dict[str, tuple[float, ...]] = VALUES) -> list[Setting]:
-    """Every combination of the values."""
-    base = options.model_dump()
-    combinations = (dict(zip(values, chosen, strict=True)) for chosen in product(*values.values()))
-    return [Setting(PaperRuleOptions(**base | chosen)) for chosen in combinations]
-
-
-Walks = Mapping[tuple[str, str], Sequence[Walk]]
-"""Walks by scene and model."""
-
-
-def sweep(walks: Walks, settings: Sequence[Setting], processes: int = 1) -> pd.DataFrame:
-    """Table fuse.sweep: the figures of each setting over the walks of each scene and model."""
-    tasks = [(key, setting) for key in walks for setting in settings]
-    arguments = [key for key, _ in tasks], [walks[key] for key, _ in tasks], [setting for _, setting in tasks]
-    if processes == 1:
-        parts = list(map(_rows, *arguments))
-    else:
-        with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-            parts = list(pool.map(_rows, *arguments, chunksize=8))
-    return pd.DataFrame([row for part in parts for row in part])
+def sweep(walks: Mapping[tuple[str, str], Sequence[Walk]], settings: Sequence[Setting]) -> pd.DataFrame:
+    """Table fuse.sweep: the figures of each setting over the walks of each scene and model, by which they are keyed."""
+    tasks = ((key, setting) for key in walks for setting in settings)
+    return pd.DataFrame([row for key, setting in tasks for row in _rows(key, walks[key], setting)])
 
 
 def _rows(key: tuple[str, str], walks: Sequence[Walk], setting: Setting) -> list[dict[str, Any]]:
@@ -96,8 +71,7 @@ _COLOURS = tuple(colours.LOCALISERS.values())
 def write_sweep_figure(sweep: pd.DataFrame, defaults: dict[str, float], path: Path) -> None:
     """Draw the rows of fuse.sweep that vary one threshold: a column each, a colour for each scene and model; the value
     in force elsewhere is dotted. The suffix of `path` is the format."""
-    single = sweep[sweep["varied"] != ""]
-    groups = list(single.groupby(["scene", "model"], sort=False))
+    groups = list(sweep.groupby(["scene", "model"], sort=False))
     figure = Figure(figsize=(10, 6.5), layout="constrained")
     axes = figure.subplots(len(_ROWS), len(VALUES), sharey="row", sharex="col")
     for column, threshold in enumerate(VALUES):

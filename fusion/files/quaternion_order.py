@@ -15,7 +15,7 @@ _FAR_DEG = 60.0  # ... beyond this from the ground truth a prediction has the ot
 _FAR_STEP_DEG = 10.0  # ... ground truth and odometry beyond this in a step
 
 
-def refuse_scalar_first(walks: Sequence[Walk], where: str) -> None:
+def refuse_scalar_first(walks: Sequence[Walk], scene: str) -> None:
     """Raise UserError where a table's quaternions fit the others only when read as w, x, y, z.
 
     Predictions are held against ground truth, ground truth and odometry against each other's turns.
@@ -32,13 +32,13 @@ def refuse_scalar_first(walks: Sequence[Walk], where: str) -> None:
             ("frames", _as_given, _as_w_first),
             ("frames and ground truth", _as_w_first, _as_w_first),
         ):
-            _refuse_if_closer(given, turns(read_truth, read_vio), f"{what} {where}")
+            _refuse_if_closer(given, turns(read_truth, read_vio), f"{what} of {scene}")
     both = [known(w.map_T_cam_predicted) & known(w.map_T_cam) for w in walks]
     true = np.concatenate([w.map_T_cam[there] for w, there in zip(walks, both, strict=True)])
     predicted = np.concatenate([w.map_T_cam_predicted[there] for w, there in zip(walks, both, strict=True)])
     given = _median([rotation_error_deg(predicted, true)])
     if given > _FAR_DEG:
-        _refuse_if_closer(given, _median([rotation_error_deg(_as_w_first(predicted), true)]), f"predictions {where}")
+        _refuse_if_closer(given, _median([rotation_error_deg(_as_w_first(predicted), true)]), f"predictions of {scene}")
 
 
 def _pairs(map_T_cam: Array, vio_T_cam: Array) -> tuple[Array, Array, Array]:

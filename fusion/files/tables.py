@@ -13,7 +13,7 @@ from groundwalk.fusion.evaluation.evaluate import (
     report_lines,
     rule_options,
 )
-from groundwalk.fusion.evaluation.sweep import around, grid, sweep, write_sweep_figure
+from groundwalk.fusion.evaluation.sweep import around, sweep, write_sweep_figure
 from groundwalk.fusion.files.parquet import Files
 from groundwalk.fusion.recording import blueprint, record
 from groundwalk.fusion.walk import with_odometry
@@ -47,20 +47,18 @@ def evaluate_files(files: Files, out: Path, scene: str, overrides: list[str], fo
         console.print(line)
 
 
-def sweep_files(
-    files: Files, out: Path, scene: str, overrides: list[str], every: bool, processes: int, force: bool = False
-) -> None:
-    """Run the paper's rule over the three tables with other thresholds, one at a time or (`every`) in all combinations
-    too; write sweep.parquet and sweep.svg to the folder `out`, as `evaluate_files` does."""
+def sweep_files(files: Files, out: Path, scene: str, overrides: list[str], force: bool = False) -> None:
+    """Run the paper's rule over the three tables with other thresholds, one at a time; write sweep.parquet and
+    sweep.svg to the folder `out`, as `evaluate_files` does."""
     settings = _settings(scene, overrides)
     options = rule_options(settings)
-    chosen = around(options) + (grid(options) if every else [])
+    chosen = around(options)
     with _written(out, force) as folder:
         joined = joined_walks(files.read(scene), settings.splits)
         walks = {(scene, model): on for model, of_model in joined if (on := with_odometry(of_model.walks))}
         if not walks:
             raise UserError("nothing can be fused: no frame has a pose by odometry", where=files.frames)
-        table = sweep(walks, chosen, min(processes, len(walks)))
+        table = sweep(walks, chosen)
         write_table(folder / "sweep.parquet", table, schema("fuse", "sweep"))
         write_sweep_figure(table, options.model_dump(), folder / "sweep.svg")
         _write_note(folder, files, scene, settings, {})

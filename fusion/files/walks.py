@@ -53,31 +53,33 @@ class Evaluated:
     prediction_counts: dict[str, int]
 
 
-def check_frames(frames: pd.DataFrame, truth: pd.DataFrame, where: str = "") -> None:
-    """Refuse frames and ground truth that can't be evaluated.
+def check(inputs: Inputs) -> None:
+    """Refuse tables that can't be evaluated.
 
-    Raises UserError for a column that is missing or of another type, a frame listed twice, two frames of a session at
-    one time, ground truth of other frames, another session or time or an unknown quality class, and for frames without
-    any ground truth.
+    Raises UserError for a column that is missing or of another type, a frame listed twice (of predictions: for one
+    model), two frames of a session at one time, ground truth or predictions of another session or time than their
+    frames, ground truth of other frames or of an unknown quality class, and predictions without any pose or with
+    rotations that can't be quaternions.
     """
-    _need(frames, FRAME_COLUMNS, "vio_cam", f"frames {where}")
-    _need(truth, TRUTH_COLUMNS, "map_cam", f"ground truth {where}")
-    _refuse_unknown_quality(truth, f"ground truth {where}")
-    _refuse_duplicates(frames, ["frame_id"], f"frames {where}")
-    _refuse_duplicates(frames, ["session_id", "t_ns"], f"frames {where}")
-    _refuse_duplicates(truth, ["frame_id"], f"ground truth {where}")
-    _refuse_disagreement(frames, truth, f"ground truth {where}")
+    frames, truth, predictions = inputs.frames, inputs.truth, inputs.predictions
+    in_frames, in_truth, in_predictions = (
+        f"{what} of {inputs.scene}" for what in ("frames", "ground truth", "predictions")
+    )
+    _need(frames, FRAME_COLUMNS, "vio_cam", in_frames)
+    _need(truth, TRUTH_COLUMNS, "map_cam", in_truth)
+    _refuse_unknown_quality(truth, in_truth)
+    _refuse_duplicates(frames, ["frame_id"], in_frames)
+    _refuse_duplicates(frames, ["session_id", "t_ns"], in_frames)
+    _refuse_duplicates(truth, ["frame_id"], in_truth)
+    _refuse_disagreement(frames, truth, in_truth)
     if not truth["frame_id"].isin(frames["frame_id"]).any():
-        raise UserError(f"no frame has ground truth {where}", do="give frames and ground truth of the same captures")
-
-
-def check_predictions(frames: pd.DataFrame, predictions: pd.DataFrame, where: str = "") -> None:
-    """Refuse predictions with a missing column, a frame listed twice for a model, of another session or time, without
-    any pose, or with rotations that can't be quaternions."""
-    _need(predictions, PREDICTION_COLUMNS, "map_cam", f"predictions {where}")
-    _refuse_no_quaternions(predictions, f"predictions {where}")
-    _refuse_duplicates(predictions, ["model", "frame_id"], f"predictions {where}")
-    _refuse_disagreement(frames, predictions, f"predictions {where}")
+        raise UserError(
+            f"no frame has ground truth of {inputs.scene}", do="give frames and ground truth of the same captures"
+        )
+    _need(predictions, PREDICTION_COLUMNS, "map_cam", in_predictions)
+    _refuse_no_quaternions(predictions, in_predictions)
+    _refuse_duplicates(predictions, ["model", "frame_id"], in_predictions)
+    _refuse_disagreement(frames, predictions, in_predictions)
 
 
 def evaluated(
@@ -93,9 +95,9 @@ def evaluated(
     """
     chosen = _of_splits(scene, frames, list(splits))
     ordered = chosen.sort_values(["session_id", "t_ns"], kind="stable")
-    apr_T = poses_for(ordered, predictions, "map_cam")
+    apr_T = _poses_for(ordered, predictions)
     covariance, unsound = _covariances(ordered, predictions)
-    vio_T, true_T = _poses(ordered, "vio_cam"), poses_for(ordered, truth, "map_cam")
+    vio_T, true_T = _poses(ordered, "vio_cam"), _poses_for(ordered, truth)
     if map_unit(truth) is not MapUnit.METRE:
         vio_T[:] = np.nan  # metres can't be fused with poses in another unit
     quality = _qualities(ordered, truth)
@@ -221,9 +223,9 @@ def _outside(apr_T: Array, true_T: Array) -> int:
     return int((away_m > extent_m).sum())
 
 
-def poses_for(frames: pd.DataFrame, table: pd.DataFrame, prefix: str) -> Array:
-    """A pose group (N, 4, 4) of `table` for each row of `frames`, NaN where it has none."""
-    return _poses(table.set_index("frame_id").reindex(frames["frame_id"]), prefix)
+def _poses_for(frames: pd.DataFrame, table: pd.DataFrame) -> Array:
+    """map_T_cam (N, 4, 4) of `table` for each row of `frames`, NaN where it has none."""
+    return _poses(table.set_index("frame_id").reindex(frames["frame_id"]), "map_cam")
 
 
 def _poses(table: pd.DataFrame, prefix: str) -> Array:
@@ -254,11 +256,11 @@ def _refuse_no_quaternions(table: pd.DataFrame, what: str) -> None:
     """Rows without a single pose, or whose rotations are something else than quaternions: Euler angles, say."""
     finite = np.isfinite(table[_pose_columns("map_cam")].to_numpy(float, na_value=np.nan)).all(axis=1)
     if not finite.any():
-        raise UserError(f"{what.strip()}: none of {len(table)} rows has a finite pose", expected="numbers, not NaN")
+        raise UserError(f"{what}: none of {len(table)} rows has a finite pose", expected="numbers, not NaN")
     median = float(np.median(_lengths(table[finite], "map_cam")))
     if not _QUATERNION_LENGTHS[0] <= median <= _QUATERNION_LENGTHS[1]:
         raise UserError(
-            f"{what.strip()}: the rotations are no quaternions",
+            f"{what}: the rotations are no quaternions",
             where="columns map_cam_qx, _qy, _qz, _qw",
             expected="unit quaternions, length 1",
             found=f"lengths of {median:.3g} (median of {finite.sum()} rows)",
@@ -294,7 +296,6 @@ _TEXT = ["frame_id", "session_id", "split", "model", "quality"]
 
 
 def _need(table: pd.DataFrame, columns: list[str], prefix: str, what: str) -> None:
-    what = what.strip()
     wanted = [*columns, *_pose_columns(prefix)]
     missing = [c for c in wanted if c not in table.columns]
     if missing:
@@ -330,7 +331,7 @@ def _refuse_unknown_quality(truth: pd.DataFrame, what: str) -> None:
     unknown = stated[~stated.isin(_QUALITIES)]
     if len(unknown):
         raise UserError(
-            f"{what.strip()}: an unknown quality class",
+            f"{what}: an unknown quality class",
             where="column quality",
             expected=f"{', '.join(_QUALITIES)} (docs/explanation/ground-truth.md), or no such column",
             found=unknown.iloc[0],
@@ -342,7 +343,7 @@ def _refuse_duplicates(table: pd.DataFrame, columns: list[str], what: str) -> No
     if len(twice):
         example = ", ".join(f"{c} {twice.iloc[0][c]}" for c in columns)
         raise UserError(
-            f"{what.strip()} have rows twice", expected=f"each {' and '.join(columns)} once", found=f"{example}, ..."
+            f"{what} have rows twice", expected=f"each {' and '.join(columns)} once", found=f"{example}, ..."
         )
 
 
@@ -355,7 +356,7 @@ def _refuse_disagreement(frames: pd.DataFrame, table: pd.DataFrame, what: str) -
         if len(wrong):
             row = wrong.iloc[0]
             raise UserError(
-                f"{what.strip()}: {len(wrong)} rows have another {column} than their frames",
+                f"{what}: {len(wrong)} rows have another {column} than their frames",
                 where=f"frame {row['frame_id']}",
                 expected=row[column],
                 found=row[f"{column}_other"],

@@ -108,7 +108,7 @@ validation 1.0: Each causal method on the frames held out of training: which is 
 sweep 2.0: The paper's rule with other thresholds, for each scene and model.
     scene (string): scene of the frame; in a group of scenes its member
     model (string): the regressor whose predictions went in, as in train.predictions
-    varied (string): the threshold that isn't as in the settings; empty in a full grid
+    varied (string): the threshold that isn't as in the settings
     n (int64): N
     d_th_m (float64, m): d_th
     o_th_deg (float64, deg): o_th
