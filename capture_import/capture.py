@@ -6,6 +6,7 @@ world whose +y is up. What a row of the log can't be read from is a `Reject`, ne
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -91,25 +92,25 @@ class Intrinsics:
 class RawFrame:
     """One logged instant: an image, a pose or both.
 
-    `number` is the row's place in the log and becomes the frame's number; `source` names the row for the user.
     `vio_T_cam` (4, 4) is None where the app logs poses apart from images: it's interpolated then. `quarters` is how
     many quarter turns clockwise EXIF or a video states for its stored pixels; its intrinsics are of the turned image.
-    `camera` tells the cameras of a recording of several apart. `split` is what a public data set states that the image
-    is for, where that differs within a recording.
+    `camera_name` tells the cameras of a recording of several apart. `split` is what a public data set states that the
+    image is for, where that differs within a recording. `number` becomes the frame's number, `source` names the row for
+    the user: `parsing.read_rows` sets both, the number where the log has none of its own to the row's place.
     """
 
-    number: int
-    source: str
     t_ns: int
-    vio_T_cam: Array | None
+    vio_T_cam: Array | None = None
     image: ImageFile | VideoFrame | None = None
     intrinsics: Intrinsics | None = None
     tracking: Tracking = Tracking.UNKNOWN
     exposure_s: float | None = None
     depth: DepthFile | None = None
     quarters: int = 0
-    camera: str = ""
+    camera_name: str = ""
     split: SessionSplit | None = None
+    number: int = -1
+    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -184,17 +185,16 @@ class ImageCheck:
 
 
 @dataclass(frozen=True)
-class Image:
-    """A sound image: its row of the log, with a pose and intrinsics, and what was measured of it."""
+class Image(RawFrame):
+    """A row of the log whose image is sound, with a pose and intrinsics, and what was measured of the image."""
 
-    frame: RawFrame
-    check: ImageCheck
+    check: ImageCheck = field(kw_only=True)
 
     @property
     def camera(self) -> Intrinsics:
         """Its intrinsics, which no sound image lacks."""
-        assert self.frame.intrinsics is not None
-        return self.frame.intrinsics
+        assert self.intrinsics is not None
+        return self.intrinsics
 
 
 @dataclass(frozen=True)
@@ -214,16 +214,20 @@ class Jump:
 class Session:
     """A recording, or the part of one between two large jumps of its odometry, or of one camera of several.
 
-    `frames` are all rows with a sound pose (all rows where none has one), in time order; `images` those of them with a
-    sound image; `rejects` the other rows and images of the recording that fall into it.
+    `frames` are all rows with a sound pose (all rows where none has one), in time order, those with a sound image as
+    `Image`; `rejects` the other rows and images of the recording that fall into it.
     """
 
     session_id: str
     recording: Recording
     frames: list[RawFrame]
-    images: list[Image]
     jumps: list[Jump]
     rejects: list[Reject]
+
+    @cached_property
+    def images(self) -> list[Image]:
+        """Those of its frames that have a sound image."""
+        return [frame for frame in self.frames if isinstance(frame, Image)]
 
     def frame_id(self, number: int) -> str:
         """The id of its frame with this number in the log."""
@@ -248,27 +252,6 @@ class Session:
     def has_poses(self) -> bool:
         """Whether it has poses at all."""
         return self.recording.pose_source != PoseSource.NONE
-
-
-@dataclass(frozen=True)
-class PlacedImage:
-    """An image's `frames.image` entry, the hash of its file, and how many faces and plates were made unrecognisable in
-    it; None without a detector."""
-
-    entry: str
-    sha256: str
-    faces: int | None = None
-    plates: int | None = None
-
-
-@dataclass(frozen=True)
-class PlacedDepth:
-    """A frame's entries `depth` and `depth_confidence` in import.frames, and the hash of the first one's file; None
-    where there is none."""
-
-    entry: str | None = None
-    confidence: str | None = None
-    sha256: str | None = None
 
 
 def poses_of(frames: Iterable[RawFrame]) -> Array:

@@ -1,15 +1,20 @@
 """Data sets with one file of poses over folders of images, each of which is a recording."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
-from groundwalk.capture_import.capture import Intrinsics, RawFrame, Recording, Reject
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, Recording, Reject
 from groundwalk.capture_import.image_files import is_image
 from groundwalk.capture_import.media.images import BadImage, image_size
-from groundwalk.capture_import.parsing import BadRow, parse_json, read_text
+from groundwalk.capture_import.parsing import BadRow, read_rows, seconds_to_ns
+from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import Clock, PoseSource, SessionSplit
+from groundwalk.store.files import read_json
 from groundwalk.store.simulated import EXPORT_NOTE
 from groundwalk.store.text import natural_order
+
+Row = TypeVar("Row")
 
 GUESS_SD = 0.5
 """Of a guessed focal length, as a fraction: phones' are 0.7 to 0.9 of the longer side, other cameras' 1 to 3."""
@@ -24,7 +29,9 @@ def size_of(image: Path) -> tuple[int, int]:
     try:
         with image.open("rb") as file:
             return image_size(file.read(1 << 16))
-    except (OSError, BadImage) as error:
+    except BadImage as error:
+        raise BadRow(f"image {error}") from None
+    except OSError as error:
         raise BadRow(f"image can't be read: {error}") from None
 
 
@@ -71,31 +78,55 @@ def data_set_of(path: Path, images_of: Callable[[Path], Path | None]) -> Path | 
     return None
 
 
-def rows_of(data_set: Path, recording: Path, names: list[tuple[str, Path]]) -> list[tuple[str, Path]]:
-    """The (source, image) rows of a data set that lie in a recording's folder, in natural order of the images'."""
-    rows = [row for row in names if recording == data_set or row[1].parent == recording]
-    return sorted(rows, key=lambda row: natural_order(row[1].as_posix()))
+def rows_of(data_set: Path, recording: Path, rows: Sequence[tuple[str, Path, Row]]) -> list[tuple[str, Path, Row]]:
+    """The rows (source, image, what is stated) of a data set that are a recording's, in natural order of the images."""
+    own = [row for row in rows if recording == data_set or row[1].parent == recording]
+    return sorted(own, key=lambda row: natural_order(row[1].as_posix()))
 
 
-def notes_on_missing_folders(names: list[tuple[str, Path]]) -> list[str]:
+def notes_on_missing_folders(rows: Sequence[tuple[str, Path, Row]]) -> list[str]:
     """A note about rows of a data set whose image folders are missing."""
-    lost = [source for source, image in names if not image.parent.is_dir()]
+    lost = [source for source, image, _ in rows if not image.parent.is_dir()]
     return [f"{len(lost)} rows name images in missing folders, such as {lost[0]}"] if lost else []
 
 
-def stated_splits(images: Iterable[Path], test: set[Path]) -> dict[Path, SessionSplit]:
-    """What each image is for, where the data set names its `test` images."""
-    return {image: SessionSplit.TEST if image in test else SessionSplit.TRAIN for image in images} if test else {}
+def read_reference(
+    path: Path,
+    data_set: Path,
+    rows: Sequence[tuple[str, Path, Row]],
+    read: Callable[[Path, Row], tuple[Array, Intrinsics]],
+    tested: set[Path],
+    notes: Sequence[str],
+) -> Recording:
+    """A recording of images in the order of their names, whose rows have the pose and camera that `read` gives, and may
+    raise BadRow. `tested`: the images that the data set names for testing, empty where it has no split.
+
+    The unit and up of its world are known of groundwalk's own exports alone."""
+
+    def read_row(place: int, row: tuple[Path, Row]) -> RawFrame:
+        pose, camera = read(*row)
+        split = (SessionSplit.TEST if row[0] in tested else SessionSplit.TRAIN) if tested else None
+        return RawFrame(seconds_to_ns(place), pose, ImageFile(row[0]), camera, split=split)
+
+    frames, rejects = read_rows([(source, (image, row)) for source, image, row in rows], read_row)
+    ours = is_metric_export(data_set)
+    return Recording(
+        "unknown",
+        Clock.NAME_ORDER,
+        path,
+        frames,
+        rejects,
+        pose_source=PoseSource.REFERENCE,
+        is_gravity_aligned=ours,
+        is_metric=ours,
+        notes=notes,
+    )
 
 
 def is_metric_export(data_set: Path) -> bool:
     """Whether it's an export of groundwalk, whose world is metric with +y up; other files of these kinds state no
     unit."""
-    try:
-        note = parse_json(read_text(data_set / EXPORT_NOTE))
-    except BadRow:
-        return False
-    return str(note.get("map", "")).startswith("metres, +y up")
+    return str(read_json(data_set / EXPORT_NOTE).get("map", "")).startswith("metres, +y up")
 
 
 def _nested(data_set: Path, images: Path) -> bool:

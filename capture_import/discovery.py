@@ -30,12 +30,14 @@ _DEPTH = re.compile(r"(depth|conf)_\d{1,9}\.png|.*\.depth\.png")
 
 @dataclass(frozen=True)
 class RecordingSource:
-    """A recording: where it is, in which format, its id, and what the search for it has to say."""
+    """A recording: where it is, in which format, the way to it by the names that a user sees, what the search for it
+    has to say, and its id."""
 
     path: Path
     format: Format
-    recording_id: str
+    parts: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    recording_id: str = ""
 
     def read(self, limits: Limits) -> Recording:
         """The recording's rows; UserError where it can't be read as a whole, or no row can."""
@@ -52,7 +54,11 @@ class RecordingSource:
                 expected=f"{self.format.label}: {self.format.recognised_by}",
                 found=f"{raw.rejects[0].source}: {raw.rejects[0].reason}" if raw.rejects else "no rows",
             )
-        notes = (*self.notes, *raw.notes, *_notes_on_sizes(raw))
+        notes = [*self.notes, *raw.notes]
+        cameras = [frame.intrinsics for frame in raw.frames if isinstance(frame.image, ImageFile)]
+        if unsized := sum(camera is not None and camera.width is None for camera in cameras):
+            # Nothing would show images that were scaled.
+            notes.append(f"the log states no size of {unsized} images: their intrinsics are taken for the files' own")
         rejects = [*raw.rejects, *_images_without_a_row(raw)]
         return replace(raw, recording_id=self.recording_id, format=self.format.id, notes=notes, rejects=rejects)
 
@@ -73,29 +79,14 @@ def _check(raw: Recording) -> None:
 def _images_without_a_row(raw: Recording) -> list[Reject]:
     """The image files beside those of a recording that none of its rows names."""
     named = {frame.image.path for frame in raw.frames if isinstance(frame.image, ImageFile)}
-    depths = {file for f in raw.frames if f.depth for file in (f.depth.path, f.depth.confidence)}
+    used = named | {file for f in raw.frames if f.depth for file in (f.depth.path, f.depth.confidence)}
     told = {re.split(r"[/ ]", reject.source)[-1] for reject in raw.rejects}
-    rejects = []
+    reason, rejects = "no row of the log that can be read names this image", []
     for image in (image for folder in in_order({path.parent for path in named}) for image in images_in(folder)):
-        source = image.relative_to(raw.folder).as_posix() if image.is_relative_to(raw.folder) else image.name
-        if image not in named and image not in depths and not _DEPTH.fullmatch(image.name) and image.name not in told:
-            rejects.append(Reject(source, None, "no row of the log that can be read names this image", Rejected.IMAGE))
+        if image not in used and image.name not in told and not _DEPTH.fullmatch(image.name):
+            source = image.relative_to(raw.folder).as_posix() if image.is_relative_to(raw.folder) else image.name
+            rejects.append(Reject(source, None, reason, Rejected.IMAGE))
     return rejects
-
-
-def _notes_on_sizes(raw: Recording) -> list[str]:
-    """A note on images whose size their log doesn't state, so that nothing shows images that were scaled."""
-    cameras = [frame.intrinsics for frame in raw.frames if isinstance(frame.image, ImageFile)]
-    count = sum(camera is not None and camera.width is None for camera in cameras)
-    return [f"the log states no size of {count} images: their intrinsics are taken for the files' own"] if count else []
-
-
-@dataclass(frozen=True)
-class _Hit:
-    path: Path
-    format: Format
-    parts: tuple[str, ...]
-    notes: tuple[str, ...] = ()
 
 
 def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str = "auto") -> list[RecordingSource]:
@@ -123,10 +114,8 @@ def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str
         raise no_capture(root, formats, chosen, search.others())
     names = [_plain((hit.parts or (root.stem if root.is_file() else root.name,))[-1]) for hit in hits]
     counts = Counter(names)
-    sources = []
-    for hit, name in zip(hits, names, strict=True):
-        unique = name if counts[name] == 1 else _plain("-".join(hit.parts))
-        sources.append(RecordingSource(hit.path, hit.format, unique, hit.notes))
+    unique = [n if counts[n] == 1 else _plain("-".join(hit.parts)) for hit, n in zip(hits, names, strict=True)]
+    sources = [replace(hit, recording_id=name) for hit, name in zip(hits, unique, strict=True)]
     if others := search.others():
         note = f"not read, as {setting_of('import', 'format')} (--format of `inspect`) is {format_name}: {others}"
         sources[0] = replace(sources[0], notes=(*sources[0].notes, note))
@@ -150,14 +139,14 @@ class _Search:
     formats: list[Format]
     in_archive: bool = False
     failed: set[str] = field(default_factory=set)
-    unread: list[_Hit] = field(default_factory=list)
+    unread: list[RecordingSource] = field(default_factory=list)
 
     def others(self) -> str:
         """The recordings that only other formats than the chosen one fit; empty where there is none."""
         names = [f"{'/'.join(hit.parts) or hit.path.name} ({hit.format.label})" for hit in self.unread]
         return name_list(names, 8) if names else ""
 
-    def run(self, path: Path, parts: tuple[str, ...], depth: int) -> list[_Hit]:
+    def run(self, path: Path, parts: tuple[str, ...], depth: int) -> list[RecordingSource]:
         """Recordings at or below `path`; `parts` is the way to it by the names that a user sees."""
         _refuse_link_out(self.root, path)
         fits = [f for f in FORMATS.values() if (f in self.formats or not f.is_images_alone) and self._fits(f, path)]
@@ -174,16 +163,21 @@ class _Search:
             _refuse_odd_name(self.root, path)
             _refuse_links_below(self.root, path)
             notes = [f"read as {first[0].label}; it is {f.label}, too" for f in candidates if f not in first]
-            return [_Hit(path, first[0], parts, tuple(notes))]
+            return [RecordingSource(path, first[0], parts, tuple(notes))]
         if path.is_file() and path.suffix.lower() in SUFFIXES and not self.in_archive:
-            return self._in_archive(path, parts, depth)
+            _refuse_odd_name(self.root, path)
+            # Of its path alone, so that no two archives share a folder, and a killed run finds it again.
+            digest = hashlib.sha256(os.fsencode(path.relative_to(self.root))).hexdigest()
+            target = self.unpacked.resolve() / digest[:32]
+            unpack(path, target, self.limits)
+            return replace(self, root=target, in_archive=True).run(target, parts, depth + 1)
         before, hits = len(self.unread), []
         if path.is_dir() and depth < _MAX_DEPTH:
             inside = in_order(p for p in path.iterdir() if not p.name.startswith(".") and p.name not in _IGNORED)
             hits = [hit for p in inside for hit in self.run(p, (*parts, p.stem if p.is_file() else p.name), depth + 1)]
         if fits and not hits:
             del self.unread[before:]
-            self.unread.append(_Hit(path, fits[0], parts))
+            self.unread.append(RecordingSource(path, fits[0], parts))
         return hits
 
     def _fits(self, format: Format, path: Path) -> bool:
@@ -197,16 +191,6 @@ class _Search:
             self.failed.add(format.id)
             progress.console.print(f"warning: {error}")
             return False
-
-    def _in_archive(self, path: Path, parts: tuple[str, ...], depth: int) -> list[_Hit]:
-        _refuse_odd_name(self.root, path)
-        # Of its path alone, so that no two archives share a folder, and a killed run finds it again.
-        digest = hashlib.sha256(os.fsencode(path.relative_to(self.root))).hexdigest()
-        target = self.unpacked.resolve() / digest[:32]
-        unpack(path, target, self.limits)
-        return _Search(target, target, self.limits, self.formats, True, self.failed, self.unread).run(
-            target, parts, depth + 1
-        )
 
 
 def _refuse_link_out(root: Path, path: Path) -> None:
@@ -222,15 +206,12 @@ def _refuse_link_out(root: Path, path: Path) -> None:
 
 def _refuse_links_below(root: Path, path: Path) -> None:
     """Logs and videos of a recording must lie in the capture; images that don't become rejects one by one."""
-    if not path.is_dir():
-        return
-    with os.scandir(path) as scan:
-        entries = list(scan)
-    for entry in entries:
-        if entry.is_symlink() and not is_image(Path(entry.name)):
-            _refuse_link_out(root, Path(entry.path))
-        elif entry.is_dir(follow_symlinks=False):
-            _refuse_links_below(root, Path(entry.path))
+    for entry in path.iterdir() if path.is_dir() else ():
+        if entry.is_symlink():
+            if not is_image(entry):
+                _refuse_link_out(root, entry)
+        elif entry.is_dir():
+            _refuse_links_below(root, entry)
 
 
 def _refuse_odd_name(root: Path, path: Path) -> None:
@@ -238,12 +219,7 @@ def _refuse_odd_name(root: Path, path: Path) -> None:
     try:
         relative.decode("utf-8")
     except UnicodeDecodeError:
-        raise UserError(
-            "a recording's name isn't UTF-8",
-            where=root,
-            found=repr(relative),
-            do="rename it",
-        ) from None
+        raise UserError("a recording's name isn't UTF-8", where=root, found=repr(relative), do="rename it") from None
 
 
 def _plain(name: str) -> str:

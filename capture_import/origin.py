@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundwalk.capture_import.capture import Image, RawFrame, Session
+from groundwalk.capture_import.capture import RawFrame, Session
 from groundwalk.geometry.poses import Array, make_pose
 
 # What reads positions as float32 (recordings, networks, other tools) sees steps of 6e-8 of their distance from the
@@ -37,8 +37,7 @@ def moved(session: Session, origin: Array) -> Session:
         assert pose is not None  # a session has no rows without
         return replace(frame, vio_T_cam=make_pose(pose[:3, :3], pose[:3, 3] - origin))
 
-    images = [Image(of(image.frame), image.check) for image in session.images]
-    return replace(session, frames=[of(frame) for frame in session.frames], images=images)
+    return replace(session, frames=[of(frame) for frame in session.frames])
 
 
 def describe_origin(origin: Array) -> str:

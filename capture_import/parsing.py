@@ -6,13 +6,14 @@ import math
 import re
 import stat
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from groundwalk.capture_import.capture import Intrinsics, Limits, Reject
+from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, Reject
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.lens import rational_of_fisheye
 from groundwalk.geometry.poses import Array, pose_from_tq
@@ -20,14 +21,16 @@ from groundwalk.store import UserError
 from groundwalk.store.files import leads_outside
 
 Row = TypeVar("Row")
-Frame = TypeVar("Frame")
 
 # A world with +z up, seen with +y up.
 YUP_T_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 MAX_NS = 2**62  # so that times can be subtracted
+_CAMERA, _SIZE = ("fx", "fy", "cx", "cy"), ("width", "height")
 _MAX_LINE = 1 << 20
 _MAX_SMALL_FILE = 1 << 20
 _FISHEYE_TOLERANCE_PX = 0.05
+# Clocks that were written with microseconds agree to this.
+_SAME_NS = 1_000_000
 
 
 class BadRow(ValueError):
@@ -35,17 +38,41 @@ class BadRow(ValueError):
 
 
 def read_rows(
-    rows: Iterable[tuple[str, Row]], read: Callable[[int, str, Row], Frame]
-) -> tuple[list[Frame], list[Reject]]:
-    """Read each row, named by its source, by `read(number, source, row)`; a row that raises BadRow becomes a reject."""
-    frames: list[Frame] = []
-    rejects = []
-    for number, (source, row) in enumerate(rows):
+    rows: Iterable[tuple[str, Row]], read: Callable[[int, Row], RawFrame]
+) -> tuple[list[RawFrame], list[Reject]]:
+    """The frame of each row, named by its source, by `read(place, row)`; where `read` gives no number, its place among
+    the rows is the frame's. A row that raises BadRow becomes a reject."""
+    frames, rejects = [], []
+    for place, (source, row) in enumerate(rows):
         try:
-            frames.append(read(number, source, row))
+            frame = read(place, row)
         except BadRow as error:
             rejects.append(Reject(source, None, str(error)))
+        else:
+            frames.append(replace(frame, number=place if frame.number < 0 else frame.number, source=source))
     return frames, rejects
+
+
+def join_by_time(poses: Sequence[RawFrame], images: Sequence[RawFrame]) -> list[RawFrame]:
+    """One log from rows with poses and rows with images, in the order of time, numbered anew.
+
+    An image within a millisecond of a pose becomes one row with it; other images stay without a pose, which is then
+    interpolated.
+    """
+    poses = sorted(poses, key=lambda row: row.t_ns)
+    times = np.array([row.t_ns for row in poses], dtype=np.int64)
+    joined: set[int] = set()
+    rows = []
+    for image in images:
+        at = int(np.searchsorted(times, image.t_ns))
+        around = {i: abs(poses[i].t_ns - image.t_ns) for i in (at - 1, at) if 0 <= i < len(poses)}
+        near = min(around, key=around.__getitem__, default=-1)
+        if around and around[near] <= _SAME_NS and near not in joined:
+            joined.add(near)
+            image = replace(image, vio_T_cam=poses[near].vio_T_cam, tracking=poses[near].tracking)
+        rows.append(image)
+    rows += [row for i, row in enumerate(poses) if i not in joined]
+    return [replace(row, number=i) for i, row in enumerate(sorted(rows, key=lambda row: row.t_ns))]
 
 
 def read_text(path: Path, max_bytes: int = _MAX_SMALL_FILE) -> str:
@@ -151,12 +178,19 @@ def whole(row: Any, key: str) -> int:
     return int(value)
 
 
-def optional_size(row: Mapping[str, Any], width: str, height: str) -> tuple[int | None, int | None]:
-    """The whole numbers under these keys, None where a log has neither: the image's own size holds then."""
+def optional_size(row: dict[str, Any], keys: Sequence[str]) -> tuple[int | None, int | None]:
+    """The whole numbers under two keys, None where a log has neither: the image's own size holds then."""
+    width, height = keys
     return (whole(row, width), whole(row, height)) if width in row or height in row else (None, None)
 
 
-def optional_number(row: Mapping[str, Any], key: str) -> float | None:
+def intrinsics(row: Any, keys: Sequence[str] = _CAMERA, size: Sequence[str] = _SIZE) -> Intrinsics:
+    """The pinhole under the keys of its focal lengths and principal point, and of its size if that is stated."""
+    fx, fy, cx, cy = (number(row, key) for key in keys)
+    return Intrinsics(fx, fy, cx, cy, *optional_size(row, size))
+
+
+def optional_number(row: dict[str, Any], key: str) -> float | None:
     """The finite number under a key, or None where there is none."""
     try:
         value = number(row, key)
@@ -166,15 +200,19 @@ def optional_number(row: Mapping[str, Any], key: str) -> float | None:
 
 
 def numbers(row: Any, key: str, count: int) -> Array:
-    """The list of `count` numbers under a key, nested lists flattened in row order; BadRow otherwise."""
-    value = _get(row, key)
+    """The list of `count` numbers under a key, as `to_numbers`."""
+    return to_numbers(_get(row, key), key, count)
+
+
+def to_numbers(value: Any, name: str, count: int) -> Array:
+    """A list of `count` numbers, nested lists flattened in row order; BadRow otherwise."""
     if not isinstance(value, list):
-        raise BadRow(f"{key} is no list")
+        raise BadRow(f"{name} is no list")
     if value and all(isinstance(inner, list) for inner in value):
         value = [x for inner in value for x in inner]
     if len(value) != count:
-        raise BadRow(f"{key} has {len(value)} numbers, not {count}")
-    return np.array([to_number(v, key) for v in value])
+        raise BadRow(f"{name} has {len(value)} numbers, not {count}")
+    return np.array([to_number(v, name) for v in value])
 
 
 def split_numbers(line: str, count: int | None = None, separator: str | None = None) -> list[float]:

@@ -58,7 +58,7 @@ def log_session(
         return
     if not session.has_poses:
         _log_curves(stream, at, session, dataset_frames(frames))
-        _log_thumbnails(stream, session, dataset_frames(frames), image_path, 1.0)
+        _log_images(stream, session, dataset_frames(frames), image_path, 1.0)
         return
     _log_path(stream, f"{at}/{session.recording.pose_source}", session)
     support, frames = frames[frames["support"]], dataset_frames(frames)
@@ -68,34 +68,48 @@ def log_session(
     for name, rows, depth_m in (("frames", frames, size / 4), ("support_frames", support, size / 8)):
         outlined = rows.iloc[evenly(len(rows), _MAX_FRUSTA)]
         _log_frusta(stream, f"{at}/{name}", outlined, _cameras(session, outlined), depth_m)
-    _log_thumbnails(stream, session, frames, image_path, size)
+    _log_images(stream, session, frames, image_path, size)
 
 
-def _log_thumbnails(
+def _log_images(
     stream: rr.RecordingStream,
     session: Session,
     frames: pd.DataFrame,
     image_path: Callable[[str], Path],
     size_m: float,
 ) -> None:
-    """The moving camera with some of the frames' images; where there are no poses, it stays at the origin."""
+    """The moving camera with some of the frames' images, small; where there are no poses, it stays at the origin."""
+
+    def small(image: str) -> bytes:
+        return encode_jpeg(decode_rgb(image_path(image).read_bytes(), _THUMBNAIL_PX), _THUMBNAIL_QUALITY)
+
+    at = f"/{session.session_id}/camera"
     shown = frames.iloc[:: max(1, math.ceil(len(frames) / _MAX_THUMBNAILS))]
     for first in range(0, len(shown), _BATCH):
         batch = shown.iloc[first : first + _BATCH]
-        jpegs = list(in_parallel(lambda image: _thumbnail(image_path(image)), batch["image"]))
+        count, jpegs = len(batch), list(in_parallel(small, batch["image"]))
         times = _time_column(session, batch["t_ns"].to_numpy() - session.t_ns[0])
-        cameras = _cameras(session, batch) if session.has_poses else np.tile(np.eye(4), (len(batch), 1, 1))
-        _log_images(stream, f"/{session.session_id}/camera", batch, cameras, jpegs, times, size_m)
-
-
-def _thumbnail(path: Path) -> bytes:
-    """The small JPEG of an image file."""
-    return encode_jpeg(decode_rgb(path.read_bytes(), _THUMBNAIL_PX), _THUMBNAIL_QUALITY)
+        cameras = _cameras(session, batch) if session.has_poses else np.tile(np.eye(4), (count, 1, 1))
+        sizes = [image_size(jpeg) for jpeg in jpegs]
+        k = np.tile(np.eye(3), (count, 1, 1))
+        k[:, [0, 1, 0, 1], [0, 1, 2, 2]] = batch[["fx", "fy", "cx", "cy"]].to_numpy()
+        k[:, :2] *= (np.array(sizes)[:, 0] / batch["width"].to_numpy())[:, None, None]
+        moving = rr.Transform3D.columns(translation=cameras[:, :3, 3], mat3x3=cameras[:, :3, :3])
+        stream.send_columns(at, indexes=[times], columns=moving)
+        camera = rr.Pinhole.columns(
+            image_from_camera=k,
+            resolution=sizes,
+            camera_xyz=[rr.ViewCoordinates.RDF] * count,
+            image_plane_distance=[size_m] * count,
+            color=[VIO] * count,
+        )
+        image = rr.EncodedImage.columns(blob=jpegs, media_type=["image/jpeg"] * count)
+        stream.send_columns(f"{at}/image", indexes=[times], columns=[*camera, *image])
 
 
 def _cameras(session: Session, frames: pd.DataFrame) -> Array:
     """The session's poses (N, 4, 4) of these rows of the frames table."""
-    pose_of = {session.frame_id(image.frame.number): image.frame.vio_T_cam for image in session.images}
+    pose_of = {session.frame_id(image.number): image.vio_T_cam for image in session.images}
     return np.array([pose_of[name] for name in frames["frame_id"]], dtype=float).reshape(-1, 4, 4)
 
 
@@ -123,45 +137,10 @@ def _log_frusta(stream: rr.RecordingStream, at: str, frames: pd.DataFrame, camer
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * frames[["width", "height"]].to_numpy()[:, None]
     rays = np.concatenate([(corners - k[..., 2:]) / k[..., :2], np.ones((len(frames), 4, 1))], axis=-1) * depth_m
     with_centre = np.concatenate([rays, np.zeros((len(frames), 1, 3))], axis=1)
-    points = transform(cameras[:, None], with_centre)
-    stream.log(
-        at,
-        rr.LineStrips3D(
-            list(points[:, [0, 1, 2, 3, 0, 4, 1, 4, 2, 4, 3]]),
-            colors=NEUTRAL,
-            radii=rr.Radius.ui_points(0.7),
-            labels=[frame_id[-6:] for frame_id in frames["frame_id"]],
-            show_labels=False,
-        ),
-        static=True,
-    )
-
-
-def _log_images(
-    stream: rr.RecordingStream,
-    at: str,
-    frames: pd.DataFrame,
-    cameras: Array,
-    jpegs: Sequence[bytes],
-    times: rr.TimeColumn,
-    size_m: float,
-) -> None:
-    """The moving camera with its images, small."""
-    sizes = [image_size(jpeg) for jpeg in jpegs]
-    k = np.tile(np.eye(3), (len(frames), 1, 1))
-    k[:, [0, 1, 0, 1], [0, 1, 2, 2]] = frames[["fx", "fy", "cx", "cy"]].to_numpy()
-    k[:, :2] *= (np.array(sizes)[:, 0] / frames["width"].to_numpy())[:, None, None]
-    moving = rr.Transform3D.columns(translation=cameras[:, :3, 3], mat3x3=cameras[:, :3, :3])
-    stream.send_columns(at, indexes=[times], columns=moving)
-    camera = rr.Pinhole.columns(
-        image_from_camera=k,
-        resolution=sizes,
-        camera_xyz=[rr.ViewCoordinates.RDF] * len(frames),
-        image_plane_distance=[size_m] * len(frames),
-        color=[VIO] * len(frames),
-    )
-    image = rr.EncodedImage.columns(blob=jpegs, media_type=["image/jpeg"] * len(frames))
-    stream.send_columns(f"{at}/image", indexes=[times], columns=[*camera, *image])
+    strips = list(transform(cameras[:, None], with_centre)[:, [0, 1, 2, 3, 0, 4, 1, 4, 2, 4, 3]])
+    labels, radii = [frame_id[-6:] for frame_id in frames["frame_id"]], rr.Radius.ui_points(0.7)
+    outlines = rr.LineStrips3D(strips, colors=NEUTRAL, radii=radii, labels=labels, show_labels=False)
+    stream.log(at, outlines, static=True)
 
 
 def _log_path(stream: rr.RecordingStream, at: str, session: Session) -> None:

@@ -37,17 +37,22 @@ def no_capture(root: Path, formats: Sequence[Format], chosen: Format | None, oth
         return UserError(what, where=root, found=f"a part of the recording {around[0]}", do=do)
     nearest = _nearest(root, formats)
     logs = list(_unknown_logs(root))
-    alone = f"; or read the images without poses: {setting_of('import', _IMAGES_ALONE)}" if _has_images(root) else ""
-    found = others or "; ".join([_content(root), *logs])
+    has_images = any(is_image(path) or is_video(path) for path in root.rglob("*"))
+    alone = f"; or read the images without poses: {setting_of('import', _IMAGES_ALONE)}" if has_images else ""
+    list_them = f"{groundwalk_command()} formats lists what is recognised"
+    images = images_in(root)
+    names = sorted(os.fsencode(p.name).decode("utf-8", "replace") for p in root.iterdir() if p not in set(images))
+    content = name_list([*([f"{len(images)} images"] if images else []), *names], 8)
+    found = others or "; ".join([content, *logs])
     if nearest:
-        do = f"copy the recording again, with all its files; {_formats_command()}{alone}"
+        do = f"copy the recording again, with all its files; {list_them}{alone}"
         others_like = "\n            ".join(nearest[1:])
         return UserError(nearest[0], where=root, expected=others_like or None, found=found, do=do)
     if logs:
         do = "write frames.jsonl from it, in a few lines: docs/reference/capture-formats.md (from another app's log)"
         do += alone
     else:
-        do = _formats_command() + "; any app can write frames.jsonl: docs/reference/capture-formats.md"
+        do = f"{list_them}; any app can write frames.jsonl: docs/reference/capture-formats.md"
     expected = None if chosen is None else f"{chosen.label}: {chosen.recognised_by}"
     return UserError(what, where=root, expected=expected, found=found, do=do)
 
@@ -66,14 +71,6 @@ def are_images_alone(root: Path, unpacked: Path, formats: Sequence[Format]) -> b
 def _around(root: Path, formats: Iterable[Format]) -> list[Path]:
     """The recordings of which a folder is a part."""
     return [p for p in root.parents[:2] if any(f.fits(p) for f in formats if not f.is_file)]
-
-
-def _has_images(root: Path) -> bool:
-    return any(is_image(path) or is_video(path) for path in root.rglob("*"))
-
-
-def _formats_command() -> str:
-    return f"{groundwalk_command()} formats lists what is recognised"
 
 
 def _nearest(root: Path, formats: Iterable[Format]) -> list[str]:
@@ -111,9 +108,3 @@ def _unknown_logs(folder: Path) -> Iterable[str]:
                 about.append(f"{meaning} ({key})")
         if about and about[0].startswith("poses"):
             yield f"{log.name} seems to hold {in_words(about)}"
-
-
-def _content(folder: Path) -> str:
-    images = images_in(folder)
-    names = sorted(os.fsencode(p.name).decode("utf-8", "replace") for p in folder.iterdir() if p not in set(images))
-    return name_list([*([f"{len(images)} images"] if images else []), *names], 8)

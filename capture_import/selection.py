@@ -30,7 +30,19 @@ class Selection:
 
 def select(sessions: Sequence[Session], settings: ImportSettings, density: float = 1.0) -> dict[str, Selection]:
     """The selection of each session, by its id; sampled so many times more densely than by the settings."""
-    return {session.session_id: _select(session, settings, density) for session in sessions}
+    selected = {}
+    for session in sessions:
+        frames = _sampled(session, settings, density)
+        most = math.floor(settings.max_support_fraction * len(frames))
+        times, sharpness = _times(session), _sharpness(session)
+        if not session.has_poses:
+            support = sample_halfway(times, sharpness, frames)[:most]
+        else:
+            poses = poses_of(session.images)
+            support = sample_between(poses, sharpness, frames, _STEP_M, _STEP_DEG, most) if most else frames[:0]
+        used = np.sort(np.concatenate([frames, support]))
+        selected[session.session_id] = Selection([session.images[i] for i in used], np.isin(used, support))
+    return selected
 
 
 def select_enough(sessions: Sequence[Session], settings: ImportSettings) -> tuple[dict[str, Selection], str | None]:
@@ -74,25 +86,12 @@ def density_for(sessions: Sequence[Session], settings: ImportSettings) -> float:
     return high
 
 
-def _select(session: Session, settings: ImportSettings, density: float) -> Selection:
-    frames = _sampled(session, settings, density)
-    support = np.empty(0, dtype=np.int64)
-    max_support = math.floor(settings.max_support_fraction * len(frames))
-    if max_support and not session.has_poses:
-        support = sample_halfway(_times(session), _sharpness(session), frames)[:max_support]
-    elif max_support:
-        poses = poses_of(image.frame for image in session.images)
-        support = sample_between(poses, _sharpness(session), frames, _STEP_M, _STEP_DEG, max_support)
-    used = np.sort(np.concatenate([frames, support]))
-    return Selection([session.images[i] for i in used], np.isin(used, support))
-
-
 def _sampled(session: Session, settings: ImportSettings, density: float) -> NDArray[np.int64]:
     """Indices of the session's images that become frames of the dataset."""
     images = session.images
     if not images or settings.sampling == "all" or math.isinf(density) or not session.recording.clock.has_times:
         return np.arange(len(images))
-    sharpness, poses = _sharpness(session), poses_of(image.frame for image in images)
+    sharpness, poses = _sharpness(session), poses_of(images)
     if settings.sampling == "rate" or not session.has_poses:
         return sample_rate(_times(session), sharpness, settings.rate_hz * density)
     if density == 1:
@@ -104,7 +103,7 @@ def _sampled(session: Session, settings: ImportSettings, density: float) -> NDAr
 
 
 def _times(session: Session) -> NDArray[np.int64]:
-    return np.array([image.frame.t_ns for image in session.images], dtype=np.int64)
+    return np.array([image.t_ns for image in session.images], dtype=np.int64)
 
 
 def _sharpness(session: Session) -> NDArray[np.float64]:

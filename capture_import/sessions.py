@@ -19,9 +19,12 @@ from groundwalk.capture_import.capture import (
     poses_of,
 )
 from groundwalk.capture_import.checks.jumps import find_jumps
-from groundwalk.capture_import.checks.rows import check_rows, content_fault, size_fault
+from groundwalk.capture_import.checks.rows import check_rows
 from groundwalk.capture_import.media.images import exif_orientation
 from groundwalk.store.choices import PoseSource, SessionSplit
+
+# Grey levels, of 255: a covered lens with a sensor's noise has 0 to 1, a dim or dull view 30 and more.
+_MIN_CONTRAST = 2.0
 
 
 def sound_sessions(
@@ -36,53 +39,37 @@ def sound_sessions(
     sharp than `min_relative_sharpness` of the median is rejected.
     """
     frames, rejects = check_rows(recording)
-    images, bad = _sound_images([f for f in frames if f.image is not None], check_images, min_relative_sharpness)
-    if not recording.clock.has_times:
-        images, copies = _without_copies(images)
-        bad += copies
+    frames, bad = _with_sound_images(recording, frames, check_images, min_relative_sharpness)
+    rejects += bad
     if recording.pose_source == PoseSource.NONE:
-        return _by_camera(recording, frames, images, [*rejects, *bad])
-    poses = poses_of(frames)
+        return _by_camera(recording, frames, rejects)
     t_ns = np.array([f.t_ns for f in frames], dtype=np.int64)
-    jumps = find_jumps(t_ns, poses) if recording.pose_source == PoseSource.VIO else []
+    jumps = find_jumps(t_ns, poses_of(frames)) if recording.pose_source == PoseSource.VIO else []
     starts = [0, *(jump.index for jump in jumps if jump.splits)]
     # A reject is of the session that it lies in by its time; of the first where it has none.
-    lies_in = [0 if r.t_ns is None else bisect_right(t_ns[starts[1:]].tolist(), r.t_ns) for r in (*rejects, *bad)]
-    sessions = []
-    for place, (start, stop) in enumerate(pairwise([*starts, len(frames)])):
-        numbers = {frame.number for frame in frames[start:stop]}
-        sessions.append(
-            Session(
-                session_id=recording.recording_id + (f".part{place + 1}" if place else ""),
-                recording=recording,
-                frames=frames[start:stop],
-                images=[image for image in images if image.frame.number in numbers],
-                # A large jump is a row of the session that it ends, so that no session's poses have one inside.
-                jumps=[jump for jump in jumps if start < jump.index <= stop],
-                rejects=[reject for reject, at in zip((*rejects, *bad), lies_in, strict=True) if at == place],
-            )
+    lies_in = [0 if r.t_ns is None else bisect_right(t_ns[starts[1:]].tolist(), r.t_ns) for r in rejects]
+    return [
+        Session(
+            session_id=recording.recording_id + (f".part{place + 1}" if place else ""),
+            recording=recording,
+            frames=frames[start:stop],
+            # A large jump is a row of the session that it ends, so that no session's poses have one inside.
+            jumps=[jump for jump in jumps if start < jump.index <= stop],
+            rejects=[reject for reject, at in zip(rejects, lies_in, strict=True) if at == place],
         )
-    return sessions
+        for place, (start, stop) in enumerate(pairwise([*starts, len(frames)]))
+    ]
 
 
-def _by_camera(
-    recording: Recording, frames: list[RawFrame], images: list[Image], rejects: list[Reject]
-) -> list[Session]:
+def _by_camera(recording: Recording, frames: list[RawFrame], rejects: list[Reject]) -> list[Session]:
     """A session a camera, in order of their first images; rejects are of the first one. What a camera is called in the
     file doesn't leave import."""
     sessions = []
-    for place, camera in enumerate(dict.fromkeys([frame.camera for frame in frames] or [""])):
-        name = f"camera {place + 1}"
-        sessions.append(
-            Session(
-                session_id=recording.recording_id + (f".camera{place + 1}" if place else ""),
-                recording=replace(recording, device=name if recording.device == "unknown" else recording.device),
-                frames=[frame for frame in frames if frame.camera == camera],
-                images=[image for image in images if image.frame.camera == camera],
-                jumps=[],
-                rejects=[] if place else rejects,
-            )
-        )
+    for place, camera in enumerate(dict.fromkeys([frame.camera_name for frame in frames] or [""])):
+        device = f"camera {place + 1}" if recording.device == "unknown" else recording.device
+        name = recording.recording_id + (f".camera{place + 1}" if place else "")
+        own = [frame for frame in frames if frame.camera_name == camera]
+        sessions.append(Session(name, replace(recording, device=device), own, [], [] if place else rejects))
     return sessions
 
 
@@ -101,51 +88,59 @@ def duration(session: Session) -> float:
     return float(session.t_ns[-1] - session.t_ns[0]) * 1e-9 if session.frames else 0.0
 
 
-def _sound_images(
+def _with_sound_images(
+    recording: Recording,
     frames: list[RawFrame],
     check_images: Callable[[list[RawFrame]], Iterable[ImageCheck | str]],
     min_relative_sharpness: float,
-) -> tuple[list[Image], list[Reject]]:
-    images, rejects = [], []
-    for frame, result in zip(frames, check_images(frames), strict=True):
-        fault = result if isinstance(result, str) else _image_fault(frame, result)
-        if fault is not None:
+) -> tuple[list[RawFrame], list[Reject]]:
+    """The rows, those with a sound image as `Image`, and why the others' images aren't."""
+    with_image = [frame for frame in frames if frame.image is not None]
+    image_of: dict[int, Image] = {}
+    rejects = []
+    for frame, result in zip(with_image, check_images(with_image), strict=True):
+        if isinstance(result, str):
+            rejects.append(Reject.of(frame, result))
+        elif fault := _image_fault(frame, result):
             rejects.append(Reject.of(frame, fault))
-        elif isinstance(result, ImageCheck):
-            images.append(Image(frame, result))
-    median = float(np.median([image.check.sharpness for image in images])) if images else 0.0
-    sharp = [image for image in images if image.check.sharpness >= min_relative_sharpness * median]
-    rejects += [
-        Reject.of(i.frame, f"too blurred: sharpness {i.check.sharpness:.2f}, median of the session {median:.2f}")
-        for i in images
-        if i.check.sharpness < min_relative_sharpness * median
-    ]
-    return sharp, rejects
+        else:
+            image_of[id(frame)] = Image(**vars(frame), check=result)
+    median = float(np.median([image.check.sharpness for image in image_of.values()])) if image_of else 0.0
+    faults = {
+        key: f"too blurred: sharpness {image.check.sharpness:.2f}, median of the session {median:.2f}"
+        for key, image in image_of.items()
+        if image.check.sharpness < min_relative_sharpness * median
+    }
+    if not recording.clock.has_times:
+        # Of photos that are the same but for metadata, one: for training, where a data set lists it for both sides.
+        first: dict[str, Image] = {}
+        sharp = [image for key, image in image_of.items() if key not in faults]
+        for image in sorted(sharp, key=lambda image: image.split == SessionSplit.TEST):
+            first.setdefault(image.check.content_sha256, image)
+        for key, image in image_of.items():
+            original = first.get(image.check.content_sha256, image)
+            if key not in faults and original is not image:
+                faults[key] = f"image is a copy of that of {original.source}"
+    rejects += [Reject.of(image_of.pop(key), fault) for key, fault in faults.items()]
+    return [image_of.get(id(frame), frame) for frame in frames], rejects
 
 
 def _image_fault(frame: RawFrame, check: ImageCheck) -> str | None:
     """What is wrong with an image that could be decoded, under its intrinsics."""
-    camera = frame.intrinsics
+    camera, width, height = frame.intrinsics, check.width, check.height
     assert camera is not None  # check_rows rejects images without
-    is_swapped = check.width != check.height and (camera.height, camera.width) == (check.width, check.height)
+    is_swapped = width != height and (camera.height, camera.width) == (width, height)
     if is_swapped and isinstance(frame.image, ImageFile) and (turn := exif_orientation(frame.image.path)) >= 5:
         return (
-            f"image is stored {check.width}x{check.height}, its intrinsics are for {camera.width}x{camera.height}, as "
+            f"image is stored {width}x{height}, its intrinsics are for {camera.width}x{camera.height}, as "
             f"viewers show it: EXIF orientation {turn} isn't applied; write the pixels turned (mogrify -auto-orient)"
         )
-    return size_fault(camera, check.width, check.height) or content_fault(check.contrast)
-
-
-def _without_copies(images: list[Image]) -> tuple[list[Image], list[Reject]]:
-    """Of photos that are the same but for metadata, one: for training, where a data set lists it for both sides."""
-    first: dict[str, Image] = {}
-    for image in sorted(images, key=lambda image: image.frame.split == SessionSplit.TEST):
-        first.setdefault(image.check.content_sha256, image)
-    kept, rejects = [], []
-    for image in images:
-        original = first[image.check.content_sha256]
-        if original is image:
-            kept.append(image)
-        else:
-            rejects.append(Reject.of(image.frame, f"image is a copy of that of {original.frame.source}"))
-    return kept, rejects
+    if camera.width is not None and (width, height) != (camera.width, camera.height):
+        return f"image is {width}x{height}, its intrinsics are for {camera.width}x{camera.height}"
+    if not (0 < camera.cx < width and 0 < camera.cy < height):
+        return f"principal point {camera.cx:.1f}, {camera.cy:.1f} is outside the image of {width}x{height}"
+    if not 0.1 < camera.fx / max(width, height) < 20 or not 0.5 < camera.fx / camera.fy < 2:
+        return f"focal length {camera.fx:.1f}, {camera.fy:.1f} isn't plausible for an image of {width}x{height}"
+    if check.contrast < _MIN_CONTRAST:
+        return f"image shows nothing: its grey levels vary by {check.contrast:.1f} of 255 (at least {_MIN_CONTRAST:g})"
+    return None

@@ -41,27 +41,25 @@ def split_frames(frames: pd.DataFrame, rules: SplitRules, by_time: bool) -> Spli
 
     UserError for unknown sessions, for listed ones that leak, and where no frame is left to train or to test on.
     """
-    recordings = frames["recording"].unique()
-    stated = None if by_time else _as_stated(frames)
+    recordings, stated = frames["recording"], frames["stated_split"].to_numpy(dtype=object)
+    is_in_time = False
     if rules.test is not None or rules.train is not None:
-        of_session, how = _listed(frames, rules), "listed in the scene's config"
-        split = frames["session_id"].map(of_session).to_numpy(dtype=object)
-    elif stated is not None:
-        split, how = stated, "as the data set states"
-    elif by_time or len(recordings) == 1:
-        split = np.full(len(frames), "train", dtype=object)
-        for recording in recordings:
-            rows = np.flatnonzero(frames["recording"] == recording)
+        split, how = _listed(frames, rules), "listed in the scene's config"
+    elif not by_time and set(stated) == {"train", "test"}:
+        split, how = stated.copy(), "as the data set states"
+    elif by_time or len(recordings.unique()) == 1:
+        is_in_time, split = True, np.full(len(frames), "train", dtype=object)
+        for rows in frames.groupby("recording", sort=False).indices.values():
             split[rows] = _ordered_split(frames.iloc[rows], rules)
         in_time = have_times(frames).all()
         how = "by time within each recording" if in_time else "the last images of each recording by their names"
-        return _with_both_sides(SplitResult(split, how, leak_seconds(frames, split)))
     else:
-        of_session, how = _by_name(frames) or _by_fraction(frames, rules.test_fraction)
-        split = frames["session_id"].map(of_session).to_numpy(dtype=object)
-    _hold_out(frames, split, rules.val_fraction)
+        tested, how = _named_for_testing(recordings) or _last_of(recordings, rules.test_fraction)
+        split = np.where(recordings.isin(tested), "test", "train").astype(object)
+    if not is_in_time:
+        _hold_out(frames, split, rules.val_fraction)
     leak = leak_seconds(frames, split)
-    if leak is not None and leak < LEAK_S and not rules.allow_leak:
+    if not is_in_time and leak is not None and leak < LEAK_S and not rules.allow_leak:
         raise UserError(
             "test frames are too close in time to training frames of the same recording",
             where="[split] of the scene's config",
@@ -69,7 +67,10 @@ def split_frames(frames: pd.DataFrame, rules: SplitRules, by_time: bool) -> Spli
             found=f"{leak:.2f} s",
             do=f"put whole recordings on one side, or set {setting_of('split', 'allow_leak = true')}",
         )
-    return _with_both_sides(SplitResult(split, how, leak))
+    for side in ("train", "test"):
+        if not (split == side).any():
+            raise _no_side(side, f"{len(split)} frames, split {how}")
+    return SplitResult(split, how, leak)
 
 
 def refuse_lists(rules: SplitRules, recordings: Sequence[str]) -> None:
@@ -81,13 +82,6 @@ def refuse_lists(rules: SplitRules, recordings: Sequence[str]) -> None:
     if listed and not (rules.test and rules.train) and set(recordings) <= set(listed):
         side = "train" if rules.test else "test"
         raise _no_side(side, f"all {len(recordings)} recordings are listed for the other side")
-
-
-def _with_both_sides(result: SplitResult) -> SplitResult:
-    for side in ("train", "test"):
-        if not (result.of_frame == side).any():
-            raise _no_side(side, f"{len(result.of_frame)} frames, split {result.how}")
-    return result
 
 
 def _no_side(side: str, what: str) -> UserError:
@@ -137,51 +131,42 @@ def leak_seconds(frames: pd.DataFrame, split: NDArray[np.object_]) -> float | No
     return shortest
 
 
-def _listed(frames: pd.DataFrame, rules: SplitRules) -> dict[str, str]:
-    names = {s: {s, r} for s, r in zip(frames["session_id"], frames["recording"], strict=True)}
-    all_names = set().union(*names.values())
-    test, train = set(rules.test or []), set(rules.train or [])
-    for name in sorted(test | train):
-        if name not in all_names:
-            raise _no_session(name, all_names)
+def _listed(frames: pd.DataFrame, rules: SplitRules) -> NDArray[np.object_]:
+    sessions, recordings = frames["session_id"], frames["recording"]
+    test, train = rules.test or [], rules.train or []
+    names = {*sessions, *recordings}
+    if unknown := sorted({*test, *train} - names):
+        raise _no_session(unknown[0], names)
     # One list alone defines the other one; with both, what neither names is unused.
     rest = "unused" if test and train else ("train" if test else "test")
+    side_of = dict.fromkeys(train, "train") | dict.fromkeys(test, "test")
     # A part's name goes before its recording's.
-    return {s: _side(s, test, train) or _side(r, test, train) or rest for s, r in _pairs(frames)}
+    sides = [side_of.get(s, side_of.get(r, rest)) for s, r in zip(sessions, recordings, strict=True)]
+    return np.array(sides, dtype=object)
 
 
-def _side(name: str, test: set[str], train: set[str]) -> str | None:
-    return "test" if name in test else "train" if name in train else None
+def _named_for_testing(recordings: pd.Series) -> tuple[list[str], str] | None:
+    """The recordings that test by their names; None where not all names begin with train or test, on both sides."""
+    sides = [name.lower().startswith("test") for name in recordings.unique()]
+    named = recordings.str.lower().str.startswith(("train", "test")).all() and len(set(sides)) == 2
+    tested = [name for name, tests in zip(recordings.unique(), sides, strict=True) if tests]
+    return (tested, "by the sessions' names") if named else None
 
 
-def _as_stated(frames: pd.DataFrame) -> NDArray[np.object_] | None:
-    stated = frames["stated_split"].to_numpy(dtype=object)
-    return stated.copy() if {"train", "test"} == set(stated) else None
-
-
-def _by_name(frames: pd.DataFrame) -> tuple[dict[str, str], str] | None:
-    sides = {s: "test" if r.lower().startswith("test") else "train" for s, r in _pairs(frames)}
-    recordings = [r.lower() for _, r in _pairs(frames)]
-    named = all(r.startswith(("train", "test")) for r in recordings)
-    return (sides, "by the sessions' names") if named and len(set(sides.values())) == 2 else None
-
-
-def _by_fraction(frames: pd.DataFrame, fraction: float) -> tuple[dict[str, str], str]:
-    counts = frames["recording"].value_counts()
+def _last_of(recordings: pd.Series, fraction: float) -> tuple[list[str], str]:
+    """As many recordings from the end as come nearest to the fraction; one is left to train on. Where they are most of
+    the frames, the single one that comes nearest."""
+    counts = recordings.value_counts()
     names = sorted(counts.index, key=natural_order)
-    # As many recordings from the end as come nearest to the fraction; one is left to train on. Where they are most of
-    # the frames, the single one that comes nearest.
-    choices = [(names[-n:], f"the last {n} of the recordings") for n in range(1, len(names))]
-    best = min(choices, key=lambda choice: abs(counts[choice[0]].sum() / len(frames) - fraction))
-    if counts[best[0]].sum() > len(frames) / 2:
-        nearest = min(names, key=lambda name: abs(counts[name] / len(frames) - fraction))
-        best = [nearest], f"recording {nearest} alone, as the last one has most of the frames"
-    return {s: "test" if r in best[0] else "train" for s, r in _pairs(frames)}, best[1]
 
+    def off(tested: list[str]) -> float:
+        return abs(counts[tested].sum() / len(recordings) - fraction)
 
-def _pairs(frames: pd.DataFrame) -> Sequence[tuple[str, str]]:
-    unique = frames[["session_id", "recording"]].drop_duplicates()
-    return list(zip(unique["session_id"], unique["recording"], strict=True))
+    last = min((names[-n:] for n in range(1, len(names))), key=off)
+    if counts[last].sum() <= len(recordings) / 2:
+        return last, f"the last {len(last)} of the recordings"
+    nearest = min(names, key=lambda name: off([name]))
+    return [nearest], f"recording {nearest} alone, as the last one has most of the frames"
 
 
 def _ordered_split(frames: pd.DataFrame, rules: SplitRules) -> NDArray[np.object_]:
@@ -203,10 +188,8 @@ def _ordered_split(frames: pd.DataFrame, rules: SplitRules) -> NDArray[np.object
 def _hold_out(frames: pd.DataFrame, split: NDArray[np.object_], fraction: float) -> None:
     """Turn a contiguous block of each training session into validation, in place; the block wanders from session to
     session, so that another walk shows the place."""
-    if fraction == 0:
-        return
-    sessions = sorted(frames.groupby("session_id").indices.values(), key=lambda rows: int(rows[0]))
-    training = [rows[split[rows] == "train"] for rows in sessions if (split[rows] == "train").any()]
+    is_training, session = split == "train", frames["session_id"].to_numpy()
+    training = [np.flatnonzero(is_training & (session == name)) for name in dict.fromkeys(session[is_training])]
     for k, rows in enumerate(training):
         size = round(len(rows) * fraction)
         centre = (k + 0.5) / len(training) * len(rows)

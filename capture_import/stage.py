@@ -4,7 +4,7 @@ import dataclasses
 import json
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,15 +18,14 @@ from groundwalk.capture_import.checks.near_copies import MAX_FRACTION, find_near
 from groundwalk.capture_import.checks.plausibility import MAX_SPEED_M_S, plausibility_faults
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.held import held_frames
-from groundwalk.capture_import.media.blurring import CascadeDetector, Detector
+from groundwalk.capture_import.media.blurring import CascadeDetector
 from groundwalk.capture_import.media.depth import place_depths
-from groundwalk.capture_import.media.placement import Placement
-from groundwalk.capture_import.media.placing import place_images
+from groundwalk.capture_import.media.placing import Placement, place_images
 from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.capture_import.media.upright import first_row, quarters_to_upright, turned
 from groundwalk.capture_import.origin import describe_origin, far_origin, moved
 from groundwalk.capture_import.recording import blueprint, log_session
-from groundwalk.capture_import.selection import Selection, select_enough
+from groundwalk.capture_import.selection import select_enough
 from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.splits import LEAK_S, SplitResult, nearest_split, refuse_lists, split_frames
@@ -39,7 +38,6 @@ from groundwalk.capture_import.tables import (
     vio_table,
 )
 from groundwalk.store import StageRun, UserError
-from groundwalk.store.choices import ImageSide
 from groundwalk.store.files import write_json
 from groundwalk.store.hints import groundwalk_command, setting_of
 from groundwalk.store.images import image_file
@@ -61,7 +59,12 @@ def run(r: StageRun[ImportSettings]) -> None:
         r.simulated |= are_simulated(path for path in unpacked.rglob("*") if path.is_file())
         of_recording = [_read_sessions(r, source, reader) for source in sources]
     with r.step("gravity"):
-        of_recording = [_with_gravity(r, sessions, reader) for sessions in of_recording]
+        for i, sessions in enumerate(of_recording):
+            check = check_gravity(sessions, reader)
+            if check.line:
+                line = f"{sessions[0].recording.recording_id}: gravity {check.line}"
+                r.say(line if check.is_aligned else f"warning: {line}; {STATE_GRAVITY}")
+            of_recording[i] = with_gravity(sessions, check)
     if settings.check_convention:
         with r.step("poses against images"):
             _check_poses(r, of_recording, reader)
@@ -83,9 +86,17 @@ def run(r: StageRun[ImportSettings]) -> None:
         tables = []
         for i, session in enumerate(sessions):
             selection = selection_of[session.session_id]
-            if selection.images:
-                table, sessions[i] = _place(r, session, selection, quarters[i], to_upright[i], detect)
-                tables.append(table)
+            if not selection.images:
+                continue
+            copies = settings.images == "copy"
+            where = Placement(root, r.work, session.session_id, copies, quarters[i], reader)
+            places = place_images(selection.images, where, detect, to_upright[i])
+            depths, rejects = place_depths(selection.images, where)
+            sessions[i] = dataclasses.replace(session, rejects=[*session.rejects, *rejects])
+            stated = session.recording.first_row if settings.first_row == "auto" else settings.first_row
+            checks = [image.check for image in selection.images]
+            sides = [first_row(check.width, check.height, stated, where.quarters) for check in checks]
+            tables.append(frames_table(session, selection, places, depths, sides))
         frames = pd.concat(tables, ignore_index=True)
         dataset = dataset_frames(frames)
         split = split_frames(dataset, r.scene.split, settings.split_by == "time")
@@ -106,11 +117,17 @@ def run(r: StageRun[ImportSettings]) -> None:
         r.write("vio", pd.concat([vio_table(session) for session in sessions], ignore_index=True))
 
     _report(r, sessions, frames, session_rows, split)
-    _report_same_images(r, frames)
     with r.step("near copies"):
         _report_near_copies(r, sessions, frames, reader)
     if detect is not None:
-        _report_blurred(r, frames)
+        counts = frames[["blurred_faces", "blurred_plates"]]
+        faces, plates, images = (int(n) for n in (*counts.sum(), (counts.sum(axis=1) > 0).sum()))
+        r.say(
+            f"blurred {faces} faces and {plates} plates in {images} of {len(frames)} images; detectors miss some: look "
+            "before you publish"
+        )
+        for name, count in (("images", images), ("faces", faces), ("plates", plates)):
+            r.figure(f"blurred_{name}", count)
     with r.step("recording"), r.recording(blueprint([session.session_id for session in sessions])) as stream:
         for session in r.track(sessions, "writing the recording"):
             log_session(stream, session, frames_of[session.session_id], lambda image: image_file(image, root, r.work))
@@ -149,15 +166,6 @@ def _read_sessions(r: StageRun[ImportSettings], source: RecordingSource, reader:
     return sessions
 
 
-def _with_gravity(r: StageRun[ImportSettings], sessions: list[Session], reader: ImageReader) -> list[Session]:
-    """A recording's sessions with what a test of its gravity finds."""
-    check = check_gravity(sessions, reader)
-    if check.line:
-        line = f"{sessions[0].recording.recording_id}: gravity {check.line}"
-        r.say(line if check.is_aligned else f"warning: {line}; {STATE_GRAVITY}")
-    return with_gravity(sessions, check)
-
-
 def _check_poses(r: StageRun[ImportSettings], of_recording: Sequence[list[Session]], reader: ImageReader) -> None:
     """Compare each recording's longest session with its images: poses, intrinsics and clock.
 
@@ -175,16 +183,14 @@ def _check_poses(r: StageRun[ImportSettings], of_recording: Sequence[list[Sessio
                 do="check which app and version wrote the capture; or skip this check: "
                 f"{setting_of('import', 'check_convention = false')}",
             )
-        if check.pairs:
-            fits.append(check.declared)
+        fits += [check.declared] if check.pairs else []
         if check.pairs and check.declared < MIN_EXPLAINED:
             r.say(
                 f"warning: {session.session_id}: only {check.declared:.0%} of matched points fit the poses, and no "
                 "other convention fits better"
             )
         clock = check_clock(session, reader)
-        if clock.offset_s is not None:
-            offsets.append(clock.offset_s)
+        offsets += [clock.offset_s] if clock.offset_s is not None else []
         if clock.offset_s is not None and abs(clock.offset_s) > MAX_OFFSET_S:
             r.say(
                 f"warning: {session.session_id}: images fit the poses {clock.offset_s:+.3f} s from their stated "
@@ -213,32 +219,6 @@ def _reasons(sessions: Sequence[Session], separator: str) -> str:
     """The most frequent reasons of rejects."""
     counts = Counter(grouped_reasons([reject.reason for session in sessions for reject in session.rejects]))
     return separator.join(f"{n} x {printable(reason)}" for reason, n in counts.most_common(3))
-
-
-def _place(
-    r: StageRun[ImportSettings],
-    session: Session,
-    selection: Selection,
-    quarters: int,
-    to_upright: int,
-    detect: Detector | None,
-) -> tuple[pd.DataFrame, Session]:
-    """Place a session's selected images and their depth: rows of the frames table, and the session with rejects of
-    depth images that can't be used. Images have been turned by quarters; `to_upright` would put gravity down."""
-    where = Placement(
-        root=r.captures.resolve(),
-        work=r.work,
-        session_id=session.session_id,
-        copies=r.settings.images == "copy",
-        quarters=quarters,
-        limits=r.settings.limits,
-    )
-    places = place_images(selection.images, where, detect, to_upright)
-    depths, rejects = place_depths(selection.images, where)
-    stated = session.recording.first_row if r.settings.first_row == "auto" else r.settings.first_row
-    first_row_of: Callable[[int, int], ImageSide] = lambda w, h: first_row(w, h, stated, quarters)  # noqa: E731
-    table = frames_table(session, selection, places, depths, first_row_of)
-    return table, dataclasses.replace(session, rejects=[*session.rejects, *rejects])
 
 
 def _report(
@@ -277,6 +257,15 @@ def _report(
             f"warning: {trained} frames train and {tested} test: {listed}; {setting_of('split', 'test')} lists "
             "other recordings to test on, and test_fraction there says how much of a single one"
         )
+    of_train, test = frames[frames["split"] != "test"], frames[frames["split"] == "test"]
+    same = test[test["content_sha256"].isin(of_train["content_sha256"])]
+    if len(same):
+        first = same.iloc[0]
+        twin = of_train.loc[of_train["content_sha256"] == first.content_sha256, "frame_id"].iloc[0]
+        r.say(
+            f"warning: {len(same)} of {len(test)} test images are also training images, byte for byte but for "
+            f"metadata (the first: {first.frame_id} is {twin}): accuracy on this split means nothing"
+        )
     images = sum(len(session.images) for session in sessions)
     figures: dict[str, float | int | str | None] = {
         "recordings": session_rows["recording"].nunique(),
@@ -294,23 +283,10 @@ def _report(
         "frames_with_depth": int(frames["depth"].notna().sum()),
         "split": split.how,
         "leak_s": split.leak_s,
+        "test_images_also_in_train": len(same),
     }
     for name, value in figures.items():
         r.figure(name, value)
-
-
-def _report_same_images(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
-    of_train, test = frames[frames["split"] != "test"], frames[frames["split"] == "test"]
-    trained = of_train.drop_duplicates("content_sha256").set_index("content_sha256")["frame_id"]
-    same = test[test["content_sha256"].isin(trained.index)]
-    r.figure("test_images_also_in_train", len(same))
-    if len(same):
-        first = same.iloc[0]
-        r.say(
-            f"warning: {len(same)} of {len(test)} test images are also training images, byte for byte but for "
-            f"metadata (the first: {first.frame_id} is {trained[first.content_sha256]}): accuracy on this split means "
-            "nothing"
-        )
 
 
 def _report_near_copies(
@@ -318,7 +294,7 @@ def _report_near_copies(
 ) -> None:
     """Warn where test images without times show what training images show."""
     timeless = dataset_frames(frames[~have_times(frames)])
-    frame_of = {s.frame_id(image.frame.number): image.frame for s in sessions for image in s.images}
+    frame_of = {s.frame_id(image.number): image for s in sessions for image in s.images}
     test, train = (list(timeless.loc[timeless["split"] == side, "frame_id"]) for side in ("test", "train"))
     if not test or not train:
         return
@@ -332,15 +308,3 @@ def _report_near_copies(
             "which images were taken together: name those for testing, or put each walk into a folder of its own "
             "(docs/how-to/split.md)"
         )
-
-
-def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
-    faces, plates = int(frames["blurred_faces"].sum()), int(frames["blurred_plates"].sum())
-    images = int((frames["blurred_faces"] + frames["blurred_plates"] > 0).sum())
-    r.say(
-        f"blurred {faces} faces and {plates} plates in {images} of {len(frames)} images; detectors miss some: look "
-        "before you publish"
-    )
-    r.figure("blurred_images", images)
-    r.figure("blurred_faces", faces)
-    r.figure("blurred_plates", plates)

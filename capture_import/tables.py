@@ -1,12 +1,13 @@
 """The import stage's tables from its sessions."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from groundwalk.capture_import.capture import PlacedDepth, PlacedImage, Session, poses_of
+from groundwalk.capture_import.capture import Session, poses_of
 from groundwalk.capture_import.selection import Selection
 from groundwalk.capture_import.sessions import duration, path_length
 from groundwalk.geometry.gravity import gravity_in_camera
@@ -15,34 +16,35 @@ from groundwalk.store.choices import Appearance, ImageSide, LengthUnit, SessionS
 from groundwalk.store.tables import dataset_frames, pose_frame
 from groundwalk.store.text import printable
 
+_DEPTH = ("depth", "depth_sha256", "depth_confidence")
 _ORIGIN = ("reference_origin_x", "reference_origin_y", "reference_origin_z")
 
 
 def frames_table(
     session: Session,
     used: Selection,
-    places: Sequence[PlacedImage],
-    depths: Sequence[PlacedDepth],
-    first_row_of: Callable[[int, int], ImageSide],
+    places: Sequence[Mapping[str, Any]],
+    depths: Sequence[Mapping[str, str]],
+    first_rows: Sequence[ImageSide],
 ) -> pd.DataFrame:
     """Rows of `frames`, all but the split; and what the split is made from and checked by: `recording`, its name;
     `stated_split`, what a public data set states; `content_sha256`, of the image as captured without metadata (of a
-    video's frame as written). `first_row_of` takes the size of an image."""
+    video's frame as written). `first_rows` are the images' sides that the sensor reads out first."""
     raw = session.recording
     rows = []
-    for image, support, place, depth in zip(used.images, used.support, places, depths, strict=True):
-        frame, camera, check = image.frame, image.camera, image.check
+    columns = (used.images, used.support, places, depths, first_rows)
+    for image, support, place, depth, first_row in zip(*columns, strict=True):
+        camera, check = image.camera, image.check
         rows.append(
             {
-                "frame_id": session.frame_id(frame.number),
+                "frame_id": session.frame_id(image.number),
                 "session_id": session.session_id,
                 "recording": raw.recording_id,
-                "stated_split": frame.split or raw.split,
-                "t_ns": frame.t_ns,
+                "stated_split": image.split or raw.split,
+                "t_ns": image.t_ns,
                 "clock": raw.clock,
-                "image": place.entry,
-                "image_sha256": place.sha256,
-                "content_sha256": check.content_sha256 or place.sha256,
+                **place,
+                "content_sha256": check.content_sha256 or place["image_sha256"],
                 "width": check.width,
                 "height": check.height,
                 "fx": camera.fx,
@@ -51,20 +53,17 @@ def frames_table(
                 "cy": camera.cy,
                 "distortion": list(camera.distortion),
                 "focal_sd": camera.focal_sd,
-                "first_row": first_row_of(check.width, check.height),
+                "first_row": first_row,
                 "stated_readout_s": math.nan if raw.readout_s is None else raw.readout_s,
-                "tracking": frame.tracking,
+                "tracking": image.tracking,
                 "sharpness": check.sharpness,
-                "exposure_s": math.nan if frame.exposure_s is None else frame.exposure_s,
+                "exposure_s": math.nan if image.exposure_s is None else image.exposure_s,
                 "support": bool(support),
-                "depth": depth.entry,
-                "depth_sha256": depth.sha256,
-                "depth_confidence": depth.confidence,
-                "blurred_faces": math.nan if place.faces is None else place.faces,
-                "blurred_plates": math.nan if place.plates is None else place.plates,
+                **dict.fromkeys(_DEPTH),
+                **depth,
             }
         )
-    poses = poses_of(image.frame for image in used.images)
+    poses = poses_of(used.images)
     gravity = gravity_in_camera(poses) if raw.is_gravity_aligned else np.full((len(poses), 3), np.nan)
     if not session.has_vio:
         poses = np.full_like(poses, np.nan)
@@ -76,7 +75,7 @@ def reference_table(session: Session, frames: pd.DataFrame) -> pd.DataFrame:
     """Rows of `reference` for a session's rows of `frames`: none where the poses are the phone's, or there are none."""
     if session.has_vio or not session.has_poses:
         frames = frames.iloc[:0]
-    pose_of = {session.frame_id(image.frame.number): image.frame.vio_T_cam for image in session.images}
+    pose_of = {session.frame_id(image.number): image.vio_T_cam for image in session.images}
     poses = np.array([pose_of[name] for name in frames["frame_id"]], dtype=float).reshape(-1, 4, 4)
     keys = frames[["frame_id", "session_id", "t_ns"]].reset_index(drop=True)
     return pd.concat([keys, pose_frame("map_cam", poses)], axis=1)
@@ -148,13 +147,8 @@ def jumps_table(sessions: Sequence[Session]) -> pd.DataFrame:
 def vio_table(session: Session) -> pd.DataFrame:
     """Rows of `vio`: none where the poses aren't the phone's."""
     frames = session.frames if session.has_vio else []
-    columns = pd.DataFrame(
-        {
-            "session_id": [session.session_id] * len(frames),
-            "t_ns": np.array([f.t_ns for f in frames], dtype=np.int64),
-            "tracking": [f.tracking for f in frames],
-        }
-    )
+    rows = [(session.session_id, frame.t_ns, frame.tracking) for frame in frames]
+    columns = pd.DataFrame(rows, columns=["session_id", "t_ns", "tracking"]).astype({"t_ns": np.int64})
     return pd.concat([columns, pose_frame("vio_cam", poses_of(frames))], axis=1)
 
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import RawFrame, Session
+from groundwalk.capture_import.capture import Image, Session
 from groundwalk.capture_import.media.images import Gray
 from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.geometry.poses import Array, interpolate, relative
@@ -38,7 +38,7 @@ def check_clock(session: Session, images: ImageReader) -> ClockCheck:
     """Find the constant offset at which the rotation of the poses best explains the motion of the images."""
     if not session.has_poses:
         return ClockCheck(None, np.nan)
-    views = list(images.gray(_dense_part([image.frame for image in session.images]), _LONG_SIDE))
+    views = list(images.gray(_dense_part(session.images), _LONG_SIDE))
     if len(views) < _MIN_IMAGES:
         return ClockCheck(None, np.nan)
     t_ns = np.array([frame.t_ns for frame, _ in views], dtype=np.int64)
@@ -49,16 +49,21 @@ def check_clock(session: Session, images: ImageReader) -> ClockCheck:
     offsets = reach[inside]
     if len(offsets) < 3:
         return ClockCheck(None, np.nan)
-    width_of = {image.frame.number: image.check.width for image in session.images}
-    motion = _image_motion([(frame, gray, gray.shape[1] / width_of[frame.number]) for frame, gray in views])
+    motion = _image_motion(views)
+    # Motion of the image centre by rotation alone, from time to time at each offset, in focal lengths (K, N - 1, 2).
     at_ns = t_ns + np.round(offsets[:, None] * 1e9).astype(np.int64)
-    scores = np.array([_correlation(motion, turn) for turn in _turns(times, poses, at_ns)])
+    at = interpolate(times, poses, at_ns.ravel()).reshape(*at_ns.shape, 4, 4)
+    axis = relative(at[:, 1:], at[:, :-1])[..., :3, 2]
+    turns = axis[..., :2] / axis[..., 2:]
+    if motion.shape != turns.shape[1:] or not motion.std():
+        return ClockCheck(None, 0.0)
+    scores = np.array([np.corrcoef(motion.ravel(), turn.ravel())[0, 1] if turn.std() else 0.0 for turn in turns])
     best = int(np.argmax(scores))
     is_clear = scores[best] > _MIN_CORRELATION and 0 < best < len(offsets) - 1
     return ClockCheck(float(offsets[best]) if is_clear else None, float(scores[best]))
 
 
-def _dense_part(frames: Sequence[RawFrame]) -> Sequence[RawFrame]:
+def _dense_part(frames: Sequence[Image]) -> Sequence[Image]:
     """Of frames with images, the middle of the longest part without a long interval, so far from the first and the last
     frame, where there are enough, that it can be shifted; none where it's too short."""
     t_s = np.array([frame.t_ns for frame in frames]) * 1e-9
@@ -74,33 +79,17 @@ def _dense_part(frames: Sequence[RawFrame]) -> Sequence[RawFrame]:
     return frames[start + spare : stop - spare]
 
 
-def _image_motion(views: Sequence[tuple[RawFrame, Gray, float]]) -> Array:
-    """Motion of the image centre from image to image, in focal lengths (N - 1, 2); each image with its scale."""
+def _image_motion(views: Sequence[tuple[Image, Gray]]) -> Array:
+    """Motion of the image centre from image to image, in focal lengths (N - 1, 2)."""
     shifts = []
     window = None
     last: NDArray[np.float32] | None = None
-    for frame, gray, scale in views:
-        current = gray.astype(np.float32)
-        camera = frame.intrinsics
-        assert camera is not None  # a sound image has them
+    for image, gray in views:
+        current, scale = gray.astype(np.float32), gray.shape[1] / image.check.width
         if last is not None and last.shape == current.shape:
             if window is None or window.shape != current.shape:
                 window = cv2.createHanningWindow((current.shape[1], current.shape[0]), cv2.CV_32F)
             (dx, dy), _ = cv2.phaseCorrelate(last, current, window)
-            shifts.append((dx / (camera.fx * scale), dy / (camera.fy * scale)))
+            shifts.append((dx / (image.camera.fx * scale), dy / (image.camera.fy * scale)))
         last = current
     return np.array(shifts)
-
-
-def _turns(times: NDArray[np.int64], poses: Array, at_ns: NDArray[np.int64]) -> Array:
-    """Motion of the image centre by rotation alone from time to time (K, N), in focal lengths (K, N - 1, 2)."""
-    at = interpolate(times, poses, at_ns.ravel()).reshape(*at_ns.shape, 4, 4)
-    axis = relative(at[:, 1:], at[:, :-1])[..., :3, 2]
-    centres: Array = axis[..., :2] / axis[..., 2:]
-    return centres
-
-
-def _correlation(a: Array, b: Array) -> float:
-    if a.shape != b.shape or not a.std() or not b.std():
-        return 0.0
-    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])

@@ -7,6 +7,7 @@ cameras. That is tried with the poses as the format declares them and as they wo
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,8 +66,7 @@ class ConventionCheck:
     contradicted: str | None
 
 
-@dataclass(frozen=True)
-class _MatchedPair:
+class _MatchedPair(NamedTuple):
     """Matched points of two images (N, 2) in pixels of the working size, (0, 0) the image's corner, the cameras, and
     the distortion that is stated of each."""
 
@@ -89,46 +89,37 @@ def check_convention(session: Session, reader: ImageReader) -> ConventionCheck:
     return ConventionCheck(len(matched), float(mean[0]), name, float(mean[best]), name if contradicted else None)
 
 
-def focal_factor(session: Session, reader: ImageReader) -> float | None:
-    """The factor of the focal lengths with which a session's poses explain its images best; None where too few pairs
-    have parallax."""
-    matched = _matched_pairs(session, reader)
-    if len(matched) < _MIN_PAIRS:
-        return None
-
-    def cost(factor: float) -> float:
-        errors = [_errors_px(pair, lambda camera: (camera[0], camera[1] * [factor, factor, 1, 1])) for pair in matched]
-        return float(np.mean(np.minimum(np.nan_to_num(np.concatenate(errors), nan=np.inf), _NEAR_PX) ** 2))
-
-    return float(min(_FOCAL_FACTORS, key=cost))
-
-
 def with_focal_length(sessions: list[Session], reader: ImageReader) -> tuple[list[Session], str]:
     """A recording's sessions with the focal length by which its poses explain its images, where it states none; and a
     line on that, empty where it states one."""
     if sessions[0].recording.has_intrinsics or not sessions[0].has_poses:
         return sessions, ""
-    factor = focal_factor(max(sessions, key=lambda session: len(session.images)), reader)
-    if factor is None:
+    matched = _matched_pairs(max(sessions, key=lambda session: len(session.images)), reader)
+    if len(matched) < _MIN_PAIRS:
         return sessions, "warning: the focal length isn't stated, and too few images tell it: it is guessed"
 
-    def scaled(image: Image) -> Image:
-        camera = replace(image.camera, fx=factor * image.camera.fx, fy=factor * image.camera.fy)
-        return replace(image, frame=replace(image.frame, intrinsics=camera))
+    def cost(factor: float) -> float:
+        errors = np.concatenate([_epipolar(pair, _times(factor, factor, 1, 1))[0] for pair in matched])
+        return float(np.mean(np.minimum(np.nan_to_num(errors, nan=np.inf), _NEAR_PX) ** 2))
 
-    sessions = [replace(session, images=[scaled(image) for image in session.images]) for session in sessions]
-    focal = [image.camera.fx for session in sessions for image in session.images]
-    return (
-        sessions,
-        f"the focal length isn't stated: {np.median(focal):.0f} px by the poses and the images, to some 2 %",
-    )
+    factor = min(_FOCAL_FACTORS, key=cost)
+
+    def scaled(frame: RawFrame) -> RawFrame:
+        camera = frame.intrinsics
+        if camera is None:
+            return frame
+        return replace(frame, intrinsics=replace(camera, fx=factor * camera.fx, fy=factor * camera.fy))
+
+    sessions = [replace(session, frames=[scaled(frame) for frame in session.frames]) for session in sessions]
+    focal_px = np.median([image.camera.fx for session in sessions for image in session.images])
+    return sessions, f"the focal length isn't stated: {focal_px:.0f} px by the poses and the images, to some 2 %"
 
 
 def _matched_pairs(session: Session, reader: ImageReader) -> list[_MatchedPair]:
     """A session's pairs of images with parallax and enough matches; none without poses."""
     if not session.has_poses:
         return []
-    frames = [image.frame for image in session.images]
+    frames = session.images
     is_walk = session.recording.is_metric and session.recording.clock.has_times
     pairs = parallax_pairs(frames) if is_walk else unitless_parallax_pairs(frames)
     views = reader.gray([frames[i] for i in sorted({i for pair in pairs for i in pair})], LONG_SIDE)
@@ -199,41 +190,33 @@ def _with_parallax(poses: Array, t_s: Array, firsts: range) -> tuple[int, int] |
 
 
 def _camera(image: Image) -> Camera:
-    pose, camera = image.frame.vio_T_cam, image.camera
+    pose, camera = image.vio_T_cam, image.camera
     assert pose is not None  # a sound image has one
     scale = min(1.0, LONG_SIDE / max(image.check.width, image.check.height))
     return pose, scale * np.array([camera.fx, camera.fy, camera.cx, camera.cy])
 
 
-def _errors_px(pair: _MatchedPair, change: Change) -> Array:
-    """Distances (N,) of a pair's matches from their epipolar lines (Sampson's), its cameras changed."""
+def _epipolar(pair: _MatchedPair, change: Change) -> tuple[Array, Array, Array, Array]:
+    """Of a pair's matches, its cameras changed: their distances (N,) from their epipolar lines (Sampson's), rays (N, 3)
+    in both, NaN where the lens has none, and b_T_a."""
     (world_T_a, k_a), (world_T_b, k_b) = map(change, pair.cameras)
-    rays = [_rays(p, k, lens) for p, k, lens in zip(pair.points, (k_a, k_b), pair.distortion, strict=True)]
-    b_T_a = np.tile(relative(world_T_b, world_T_a), (len(rays[0]), 1, 1))
-    return sampson_px(b_T_a, rays[1], rays[0], k_b[:2], k_a[:2])
+    rays_a, rays_b = (
+        np.column_stack([undistort((points - k[2:]) / k[:2], lens), np.ones(len(points))])
+        for points, k, lens in zip(pair.points, (k_a, k_b), pair.distortion, strict=True)
+    )
+    b_T_a = relative(world_T_b, world_T_a)
+    errors_px = sampson_px(np.tile(b_T_a, (len(rays_a), 1, 1)), rays_b, rays_a, k_b[:2], k_a[:2])
+    return errors_px, rays_a, rays_b, b_T_a
 
 
 def _explained(pair: _MatchedPair, change: Change) -> float:
     """Fraction of matches near to their epipolar lines and in front of both cameras, changed."""
-    (world_T_a, k_a), (world_T_b, k_b) = map(change, pair.cameras)
-    b_T_a = relative(world_T_b, world_T_a)
-    rays_a, rays_b = (
-        _rays(points, k, lens) for points, k, lens in zip(pair.points, (k_a, k_b), pair.distortion, strict=True)
-    )
-    rotation, t = b_T_a[:3, :3], b_T_a[:3, 3]
-    near = _errors_px(pair, change) < _NEAR_PX
+    errors_px, rays_a, rays_b, b_T_a = _epipolar(pair, change)
     # Depths along both rays where they come nearest: depth_b * ray_b = depth_a * R ray_a + t.
-    turned = rays_a @ rotation.T
+    turned, t = rays_a @ b_T_a[:3, :3].T, b_T_a[:3, 3]
     aa, bb, ab = (np.sum(x * y, axis=1) for x, y in ((turned, turned), (rays_b, rays_b), (turned, rays_b)))
     at, bt = turned @ t, rays_b @ t
-    depth_a = ab * bt - bb * at
-    depth_b = aa * bt - ab * at
-    return float(np.mean(near & (depth_a > 0) & (depth_b > 0)))
-
-
-def _rays(points: Array, k: Array, distortion: Distortion) -> Array:
-    """Rays (N, 3) with z = 1, NaN where the lens has none."""
-    return np.column_stack([undistort((points - k[2:]) / k[:2], distortion), np.ones(len(points))])
+    return float(np.mean((errors_px < _NEAR_PX) & (ab * bt - bb * at > 0) & (aa * bt - ab * at > 0)))
 
 
 def _on_pose(change: PoseChange) -> Change:
@@ -246,13 +229,9 @@ def _turned_with_intrinsics(quarters: int) -> Change:
     return lambda camera: (turn(camera[0]), camera[1][[1, 0, 3, 2]])
 
 
-def _mirrored(*signs: float) -> Change:
-    """The image is mirrored about its principal point, which is near enough to its middle."""
-    return lambda camera: (camera[0], camera[1] * np.array([*signs, 1.0, 1.0]))
-
-
-def _scaled(factor: float) -> Change:
-    return lambda camera: (camera[0], camera[1] * factor)
+def _times(*factors: float) -> Change:
+    """fx, fy, cx and cy are so many times as large, or of an image that is mirrored about its principal point."""
+    return lambda camera: (camera[0], camera[1] * np.array(factors))
 
 
 CONVENTIONS: tuple[tuple[str, Change], ...] = (
@@ -260,11 +239,11 @@ CONVENTIONS: tuple[tuple[str, Change], ...] = (
     *((name, _on_pose(change)) for name, change in POSE_CONVENTIONS),
     ("image is turned by 90 degrees clockwise against pose and intrinsics", _turned_with_intrinsics(1)),
     ("image is turned by 90 degrees counter-clockwise against pose and intrinsics", _turned_with_intrinsics(3)),
-    ("the images are mirrored left to right", _mirrored(-1, 1)),
-    ("the images are mirrored upside down", _mirrored(1, -1)),
+    ("the images are mirrored left to right", _times(-1, 1, 1, 1)),
+    ("the images are mirrored upside down", _times(1, -1, 1, 1)),
     ("intrinsics have width and height swapped", lambda camera: (camera[0], camera[1][[1, 0, 3, 2]])),
     *(
-        (f"intrinsics are for an image {1 / factor:g} times as large", _scaled(factor))
+        (f"intrinsics are for an image {1 / factor:g} times as large", _times(*[factor] * 4))
         for factor in (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
     ),
 )

@@ -5,13 +5,13 @@ axes exactly along its world's, unless the world is its first camera's. And most
 three directions at right angles, one of them vertical.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from groundwalk.capture_import.capture import Image, Recording, Session
+from groundwalk.capture_import.capture import Image, Session
 from groundwalk.capture_import.media.images import WORKING_LONG_SIDE, Gray
 from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.geometry.lens import undistort
@@ -64,9 +64,9 @@ def check_gravity(sessions: Sequence[Session], images: ImageReader) -> GravityCh
         return replace(stated, text="the capture says that its +y isn't up")
     by_data = _by_accelerometer(sessions) or _by_lines(max(sessions, key=lambda s: len(s.images)), images)
     if stated.source == UpSource.STATED:
-        if by_data is not None and not by_data.is_aligned:
-            return replace(stated, text=f"by what the capture states, but {by_data.text}")
-        return stated
+        if by_data is None or by_data.is_aligned:
+            return stated
+        return replace(stated, text=f"by what the capture states, but {by_data.text}")
     if by_data is not None:
         return by_data
     if starts_along_axes(sessions):
@@ -77,11 +77,11 @@ def check_gravity(sessions: Sequence[Session], images: ImageReader) -> GravityCh
 
 def with_gravity(sessions: Sequence[Session], check: GravityCheck) -> list[Session]:
     """The sessions of a recording with what was found of its gravity."""
-
-    def of(recording: Recording) -> Recording:
-        return replace(recording, is_gravity_aligned=check.is_aligned, up_source=check.source)
-
-    return [replace(session, recording=of(session.recording)) for session in sessions]
+    aligned, source = check.is_aligned, check.source
+    return [
+        replace(session, recording=replace(session.recording, is_gravity_aligned=aligned, up_source=source))
+        for session in sessions
+    ]
 
 
 def starts_along_axes(sessions: Sequence[Session]) -> bool:
@@ -111,32 +111,29 @@ def _by_accelerometer(sessions: Sequence[Session]) -> GravityCheck | None:
 
 def _by_lines(session: Session, reader: ImageReader) -> GravityCheck | None:
     """What lines say of a session's +y; None where they say nothing."""
-    images = {image.frame.number: image for image in session.images}
-    spread = [session.images[i].frame for i in evenly(len(images), _MAX_IMAGES)] if len(images) >= _MIN_IMAGES else []
-    views = reader.gray(spread, WORKING_LONG_SIDE)
-    lines = list(_planes_of_lines((images[frame.number], gray) for frame, gray in views))
-    if not lines:
+    if len(session.images) < _MIN_IMAGES:
+        return None
+    images = [session.images[i] for i in evenly(len(session.images), _MAX_IMAGES)]
+    lines = list(_planes_of_lines(reader.gray(images, WORKING_LONG_SIDE)))
+    if sum(len(lengths) for _, lengths in lines) < _MIN_LINES:
         return None
     normals, lengths = (np.concatenate(part) for part in zip(*lines, strict=True))
-    if len(lengths) < _MIN_LINES:
-        return None
     axes = line_axes(normals, lengths)
     if axes.is_up is None:
         return None
-    upright, tilted = f"{axes.upright:.0%}", f"{axes.tilted:.0%}"
     text = (
-        f"three directions at right angles, one of them +y, explain {upright} of {len(lengths)} lines in {len(lines)} "
+        f"three directions at right angles, one of them +y, explain {axes.upright:.0%} of {len(lengths)} lines in "
+        f"{len(lines)} images; the best others, {np.degrees(axes.tilt):.0f}° off, {axes.tilted:.0%}"
     )
-    text += f"images; the best others, {np.degrees(axes.tilt):.0f}° off, {tilted}"
     return GravityCheck(axes.is_up, UpSource.LINES, text)
 
 
-def _planes_of_lines(views: Iterator[tuple[Image, Gray]]) -> Iterator[tuple[Array, Array]]:
+def _planes_of_lines(views: Iterable[tuple[Image, Gray]]) -> Iterator[tuple[Array, Array]]:
     """Of each image's lines: unit normals (N, 3), in the world, of their planes through the camera's centre, and their
     lengths (N,) in focal lengths."""
     detector = cv2.createLineSegmentDetector()
     for image, gray in views:
-        segments, camera, pose = detector.detect(gray)[0], image.camera, image.frame.vio_T_cam
+        segments, camera, pose = detector.detect(gray)[0], image.camera, image.vio_T_cam
         assert pose is not None  # a sound image has one
         if segments is None:
             continue

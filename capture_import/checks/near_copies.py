@@ -44,11 +44,11 @@ def find_near_copies(test: Sequence[RawFrame], train: Sequence[RawFrame], images
     frames = [test[i] for i in candidates] + [train[j] for j in of_train]
     views = in_parallel(lambda view: (id(view[0]), detect_features(view[1])), images.gray(frames, LONG_SIDE))
     features: dict[int, Features] = dict(views)
-    pairs = []
-    for i, nearest in candidates.items():
-        near = [int(j) for j in nearest if _are_near(features.get(id(test[i])), features.get(id(train[j])))]
-        pairs += [(i, near[0])] if near else []
-    return NearCopies(len(candidates), pairs)
+    near = {
+        i: [int(j) for j in nearest if _are_near(features.get(id(test[i])), features.get(id(train[j])))]
+        for i, nearest in candidates.items()
+    }
+    return NearCopies(len(candidates), [(i, found[0]) for i, found in near.items() if found])
 
 
 def _nearest(pose: Array, poses: Array) -> NDArray[np.int64]:

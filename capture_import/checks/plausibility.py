@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundwalk.capture_import.capture import Image, Session
+from groundwalk.capture_import.capture import Session
 from groundwalk.store.hints import setting_of
 
 # The median speed of a runner; walks with a phone are below 2 m/s.
@@ -83,17 +83,6 @@ def _of_motion(t_ns: np.ndarray, xyz: np.ndarray) -> Iterator[PlausibilityFault]
         )
 
 
-def _of_sharpness(images: Sequence[Image]) -> Iterator[PlausibilityFault]:
-    """Where nothing but images says anything, some have to be sharp."""
-    sharpest = max((image.check.sharpness for image in images), default=1.0)
-    if sharpest < _MIN_SHARPNESS:
-        yield PlausibilityFault(
-            f"none of {len(images)} images is sharp: the sharpest has {sharpest:.2f} of 1 (at least "
-            f"{_MIN_SHARPNESS:g})",
-            remedy="record it again: in more light, slowly, with a clean lens and in focus",
-        )
-
-
 def _unit_guess(speed_m_s: float) -> str:
     """Which unit would make a speed one of a walk."""
     text = "are positions in another unit than metres"
@@ -108,7 +97,14 @@ def _of_images(sessions: Sequence[Session], poses: np.ndarray) -> Iterator[Plaus
     if len(images) == 1:
         yield PlausibilityFault("it has one image: a model needs many that overlap")
     if not sessions[0].has_poses:
-        yield from _of_sharpness(images)
+        # Where nothing but images says anything, some have to be sharp.
+        sharpest = max((image.check.sharpness for image in images), default=1.0)
+        if sharpest < _MIN_SHARPNESS:
+            yield PlausibilityFault(
+                f"none of {len(images)} images is sharp: the sharpest has {sharpest:.2f} of 1 (at least "
+                f"{_MIN_SHARPNESS:g})",
+                remedy="record it again: in more light, slowly, with a clean lens and in focus",
+            )
         return
     # The hash of a video's frame isn't known before it is written; its sharpness tells frames apart as well.
     different = len({(image.check.sha256, image.check.sharpness) for image in images})

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundwalk.capture_import.capture import Intrinsics, RawFrame, Recording, Reject, poses_of
-from groundwalk.geometry.poses import Array, interpolate, nearest_rotation, rigidity_error
+from groundwalk.capture_import.capture import RawFrame, Recording, Reject, poses_of
+from groundwalk.geometry.poses import Array, interpolate, make_pose, nearest_rotation, rigidity_error
 from groundwalk.store.choices import PoseSource, Tracking
 
 # Float32 logs are off by 1e-6, rounded text logs by 1e-3 at most; a wrong convention by far more.
@@ -22,8 +22,6 @@ _MAX_COEFFICIENTS, _MAX_COEFFICIENT = 8, 1e4
 # Poses further apart aren't interpolated between: a hand may turn by a right angle meanwhile.
 _MAX_GAP_S = 0.5
 _WORST_LAST = (Tracking.UNKNOWN, Tracking.NORMAL, Tracking.LIMITED, Tracking.LOST)
-# Grey levels, of 255: a covered lens with a sensor's noise has 0 to 1, a dim or dull view 30 and more.
-_MIN_CONTRAST = 2.0
 
 
 def check_rows(recording: Recording) -> tuple[list[RawFrame], list[Reject]]:
@@ -34,19 +32,21 @@ def check_rows(recording: Recording) -> tuple[list[RawFrame], list[Reject]]:
     are too far apart; where a recording has no poses, none has one.
     """
     rejects = list(recording.rejects)
-    is_reference = recording.pose_source == PoseSource.REFERENCE
-    position_fault = _reference_position_fault(recording) if is_reference else _vio_position_fault
+    position_fault = _position_fault(recording)
     readable = []
     for frame in recording.frames:
-        reason = _pose_fault(frame.vio_T_cam, position_fault) or _intrinsics_fault(frame)
-        if reason:
-            rejects.append(Reject.of(frame, reason))
+        if fault := _pose_fault(frame.vio_T_cam, position_fault) or _intrinsics_fault(frame):
+            rejects.append(Reject.of(frame, fault))
+        elif frame.vio_T_cam is None:
+            readable.append(frame)
         else:
-            readable.append(_orthonormal(frame))
+            rotation = nearest_rotation(frame.vio_T_cam[:3, :3])
+            readable.append(replace(frame, vio_T_cam=make_pose(rotation, frame.vio_T_cam[:3, 3])))
 
     ordered: list[RawFrame] = []
-    for frame, is_rising in zip(readable, _longest_rising([f.t_ns for f in readable]), strict=True):
-        if is_rising:
+    rising = _longest_rising([frame.t_ns for frame in readable])
+    for i, frame in enumerate(readable):
+        if i in rising:
             ordered.append(frame)
         else:
             is_same = ordered and frame.t_ns == ordered[-1].t_ns
@@ -55,24 +55,33 @@ def check_rows(recording: Recording) -> tuple[list[RawFrame], list[Reject]]:
     if recording.pose_source == PoseSource.NONE:
         return ordered, rejects
     frames = []
-    for frame, posed in zip(ordered, _with_poses(ordered), strict=True):
-        if posed is None:
-            rejects.append(Reject.of(frame, f"no pose within {_MAX_GAP_S:g} s on both sides"))
-        elif posed.tracking == Tracking.LOST:
-            rejects.append(Reject.of(posed, "not tracking"))
+    posed = [frame for frame in ordered if frame.vio_T_cam is not None]
+    times, poses = np.array([f.t_ns for f in posed], dtype=np.int64), poses_of(posed)
+    for frame in ordered:
+        if frame.vio_T_cam is None:
+            after = int(np.searchsorted(times, frame.t_ns))
+            around = slice(after - 1, after + 1)
+            if not 0 < after < len(times) or (times[after] - times[after - 1]) * 1e-9 > _MAX_GAP_S:
+                rejects.append(Reject.of(frame, f"no pose within {_MAX_GAP_S:g} s on both sides"))
+                continue
+            pose = interpolate(times[around], poses[around], np.array([frame.t_ns]))[0]
+            # The worse state of the two poses holds between them.
+            tracking = max((row.tracking for row in posed[around]), key=_WORST_LAST.index)
+            frame = replace(frame, vio_T_cam=pose, tracking=tracking)
+        if frame.tracking == Tracking.LOST:
+            rejects.append(Reject.of(frame, "not tracking"))
         else:
-            frames.append(posed)
+            frames.append(frame)
     return frames, rejects
 
 
-def _vio_position_fault(position: Array) -> str | None:
-    return "pose is more than 100 km from the origin" if np.abs(position).max() > _MAX_POSITION_M else None
-
-
-def _reference_position_fault(recording: Recording) -> Callable[[Array], str | None]:
-    """What is wrong with a position (3,) among those of a reference."""
-    poses = [frame.vio_T_cam for frame in recording.frames if frame.vio_T_cam is not None]
-    positions = np.array([pose[:3, 3] for pose in poses if np.isfinite(pose).all()]).reshape(-1, 3)
+def _position_fault(recording: Recording) -> Callable[[Array], str | None]:
+    """What says what is wrong with a position (3,) of a recording."""
+    if recording.pose_source != PoseSource.REFERENCE:
+        far = f"pose is more than {_MAX_POSITION_M / 1000:g} km from the origin"
+        return lambda position: far if np.abs(position).max() > _MAX_POSITION_M else None
+    poses = poses_of(recording.frames)
+    positions = poses[np.isfinite(poses).all(axis=(1, 2)), :3, 3]
     if not len(positions):
         return lambda _: None
     middle = np.median(positions, axis=0)
@@ -119,73 +128,18 @@ def _intrinsics_fault(frame: RawFrame) -> str | None:
     return None
 
 
-def size_fault(camera: Intrinsics, width: int, height: int) -> str | None:
-    """What is wrong with an image of this size under these intrinsics, or None."""
-    if camera.width is not None and (width, height) != (camera.width, camera.height):
-        return f"image is {width}x{height}, its intrinsics are for {camera.width}x{camera.height}"
-    if not (0 < camera.cx < width and 0 < camera.cy < height):
-        return f"principal point {camera.cx:.1f}, {camera.cy:.1f} is outside the image of {width}x{height}"
-    if not 0.1 < camera.fx / max(width, height) < 20 or not 0.5 < camera.fx / camera.fy < 2:
-        return f"focal length {camera.fx:.1f}, {camera.fy:.1f} isn't plausible for an image of {width}x{height}"
-    return None
-
-
-def content_fault(contrast: float) -> str | None:
-    """What is wrong with an image whose grey levels have this standard deviation, of 255; or None."""
-    if contrast < _MIN_CONTRAST:
-        return f"image shows nothing: its grey levels vary by {contrast:.1f} of 255 (at least {_MIN_CONTRAST:g})"
-    return None
-
-
-def _orthonormal(frame: RawFrame) -> RawFrame:
-    if frame.vio_T_cam is None:
-        return frame
-    pose = frame.vio_T_cam.copy()
-    pose[:3, :3] = nearest_rotation(pose[:3, :3])
-    pose[3] = (0, 0, 0, 1)
-    return replace(frame, vio_T_cam=pose)
-
-
-def _longest_rising(times: Sequence[int]) -> list[bool]:
-    """Which entries are in the longest strictly rising subsequence: one wild time costs one row, not all behind it."""
-    tails: list[int] = []
-    tail_index: list[int] = []
-    previous = [-1] * len(times)
+def _longest_rising(times: Sequence[int]) -> set[int]:
+    """The places in the longest strictly rising subsequence: one wild time costs one row, not all behind it."""
+    tails: list[int] = []  # the place at which a subsequence of each length ends soonest
+    before: list[int] = []
     for i, t in enumerate(times):
-        at = bisect_left(tails, t)
-        if at == len(tails):
-            tails.append(t)
-            tail_index.append(i)
-        elif t < tails[at]:
-            tails[at], tail_index[at] = t, i
-        previous[i] = tail_index[at - 1] if at else -1
-    is_rising = [False] * len(times)
-    i = tail_index[-1] if tail_index else -1
+        at = bisect_left(tails, t, key=times.__getitem__)
+        before.append(tails[at - 1] if at else -1)
+        if at == len(tails) or t < times[tails[at]]:
+            tails[at : at + 1] = [i]
+    rising = set()
+    i = tails[-1] if tails else -1
     while i >= 0:
-        is_rising[i] = True
-        i = previous[i]
-    return is_rising
-
-
-def _with_poses(frames: list[RawFrame]) -> list[RawFrame | None]:
-    """The rows, those without a pose with one between its neighbours' where these are near in time."""
-    posed = [f for f in frames if f.vio_T_cam is not None]
-    if len(posed) == len(frames):
-        return list(frames)
-    times = np.array([f.t_ns for f in posed], dtype=np.int64)
-    poses = poses_of(posed)
-    out: list[RawFrame | None] = []
-    for frame in frames:
-        if frame.vio_T_cam is not None:
-            out.append(frame)
-            continue
-        after = int(np.searchsorted(times, frame.t_ns))
-        if after == 0 or after == len(times) or (times[after] - times[after - 1]) * 1e-9 > _MAX_GAP_S:
-            out.append(None)
-            continue
-        around = slice(after - 1, after + 1)
-        pose = interpolate(times[around], poses[around], np.array([frame.t_ns]))[0]
-        # The worse state of the two poses holds between them.
-        tracking = max((posed[after - 1].tracking, posed[after].tracking), key=_WORST_LAST.index)
-        out.append(replace(frame, vio_T_cam=pose, tracking=tracking))
-    return out
+        rising.add(i)
+        i = before[i]
+    return rising

@@ -8,48 +8,36 @@ end. Its pose is the same or one of other axes, which nothing tells apart: such 
 """
 
 import re
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.parsing import (
-    from_arkit,
-    lines_of,
-    quaternion_pose,
-    read_rows,
-    seconds_to_ns,
-    split_numbers,
-)
 from groundwalk.store.choices import Clock
 
 _TAGS = re.compile(r"(\s+TAG\d+)+\s*$")
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the poses."""
-    lines = lines_of(path, limits)
-    rows = list(_without_tags(lines))
-    frames, rejects = read_rows(rows, _read_row)
+    """Read the poses, without rows that only add a tag to the one before them."""
+    lines = parsing.lines_of(path, limits)
+    times = [line.split()[0] for _, line in lines]
+    rows = [
+        (source, line)
+        for (source, line), time, before in zip(lines, times, ["", *times], strict=False)
+        if time != before or not _TAGS.search(line)
+    ]
+    frames, rejects = parsing.read_rows(rows, _read_row)
     notes = ["poses are of Android's sensor axes: turned from the camera's about the optical axis"]
     if tagged := len(lines) - len(rows):
         notes.append(f"{tagged} rows only add a tag to the pose before them: not read")
     return Recording("Android, ARCore Data Logger", Clock.BOOT, path.parent, frames, rejects, notes=notes)
 
 
-def _without_tags(lines: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
-    """All (source, line) but those that only add a tag to the row before them."""
-    time = ""
-    for source, line in lines:
-        if not _TAGS.search(line) or line.split()[0] != time:
-            yield source, line
-        time = line.split()[0]
-
-
-def _read_row(number: int, source: str, line: str) -> RawFrame:
-    time_ns, qx, qy, qz, qw, *position = split_numbers(line, 8)
-    pose = from_arkit(quaternion_pose(position, [qx, qy, qz, qw]))
-    return RawFrame(number, source, seconds_to_ns(time_ns * 1e-9), pose)
+def _read_row(_: int, line: str) -> RawFrame:
+    time_ns, qx, qy, qz, qw, *position = parsing.split_numbers(line, 8)
+    pose = parsing.from_arkit(parsing.quaternion_pose(position, [qx, qy, qz, qw]))
+    return RawFrame(parsing.seconds_to_ns(time_ns * 1e-9), pose)
 
 
 FORMAT = Format(

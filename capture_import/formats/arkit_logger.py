@@ -6,28 +6,22 @@ Documented at https://github.com/PyojinKim/ARKit-Data-Logger (README, "Output Fo
 
 from pathlib import Path
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.parsing import (
-    from_arkit,
-    lines_of,
-    read_rows,
-    row_major_pose,
-    seconds_to_ns,
-    split_numbers,
-)
 from groundwalk.store.choices import Clock
 
 
 def read(path: Path, limits: Limits) -> Recording:
     """Read the poses."""
-    frames, rejects = read_rows(lines_of(path, limits), _read_row)
+    frames, rejects = parsing.read_rows(parsing.lines_of(path, limits), _read_row)
     return Recording("iOS, ARKit Data Logger", Clock.BOOT, path.parent, frames, rejects)
 
 
-def _read_row(number: int, source: str, line: str) -> RawFrame:
-    time_ns, *matrix = split_numbers(line, 13)
-    return RawFrame(number, source, seconds_to_ns(time_ns * 1e-9), from_arkit(row_major_pose(matrix)))
+def _read_row(_: int, line: str) -> RawFrame:
+    time_ns, *matrix = parsing.split_numbers(line, 13)
+    pose = parsing.from_arkit(parsing.row_major_pose(matrix))
+    return RawFrame(parsing.seconds_to_ns(time_ns * 1e-9), pose)
 
 
 FORMAT = Format(

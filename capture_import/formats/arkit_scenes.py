@@ -15,20 +15,10 @@ from pathlib import Path
 
 from scipy.spatial.transform import Rotation
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import images_in
-from groundwalk.capture_import.joining import join_by_time
-from groundwalk.capture_import.parsing import (
-    YUP_T_ZUP,
-    lines_of,
-    read_rows,
-    read_text,
-    seconds_to_ns,
-    split_numbers,
-    to_number,
-    to_pixels,
-)
 from groundwalk.geometry.poses import inverse, make_pose
 from groundwalk.store.choices import Clock, PoseSource
 
@@ -38,35 +28,26 @@ _IMAGES = ("wide", "vga_wide", "lowres_wide")
 
 def read(path: Path, limits: Limits) -> Recording:
     """Read the trajectory and the images; poses are interpolated where an image lies between two rows."""
-    poses, rejects = read_rows(lines_of(path / "lowres_wide.traj", limits), _read_pose)
+    poses, rejects = parsing.read_rows(parsing.lines_of(path / "lowres_wide.traj", limits), _read_pose)
     folder = next(path / name for name in _IMAGES if (path / name).is_dir())
-    images, more = read_rows([(f"{folder.name}/{file.name}", file) for file in images_in(folder)], _read_image)
-    return Recording(
-        "iPad Pro, ARKitScenes",
-        Clock.BOOT,
-        path,
-        join_by_time(poses, images),
-        [*rejects, *more],
-        pose_source=PoseSource.REFERENCE,
-    )
+    images, more = parsing.read_rows([(f"{folder.name}/{file.name}", file) for file in images_in(folder)], _read_image)
+    frames = parsing.join_by_time(poses, images)
+    return Recording("iPad Pro, ARKitScenes", Clock.BOOT, path, frames, [*rejects, *more], PoseSource.REFERENCE)
 
 
-def _read_pose(number: int, source: str, line: str) -> RawFrame:
-    time_s, rx, ry, rz, *translation = split_numbers(line, 7)
+def _read_pose(_: int, line: str) -> RawFrame:
+    time_s, rx, ry, rz, *translation = parsing.split_numbers(line, 7)
     cam_T_world = make_pose(Rotation.from_rotvec([rx, ry, rz]).as_matrix(), translation)
-    return RawFrame(number, source, seconds_to_ns(time_s), YUP_T_ZUP @ inverse(cam_T_world))
+    return RawFrame(parsing.seconds_to_ns(time_s), parsing.YUP_T_ZUP @ inverse(cam_T_world))
 
 
-def _read_image(number: int, source: str, image: Path) -> RawFrame:
+def _read_image(_: int, image: Path) -> RawFrame:
     camera = image.parent.with_name(f"{image.parent.name}_intrinsics") / f"{image.stem}.pincam"
-    width, height, *fx_fy_cx_cy = split_numbers(read_text(camera), 6)
+    width, height, *fx_fy_cx_cy = parsing.split_numbers(parsing.read_text(camera), 6)
     return RawFrame(
-        number=number,
-        source=source,
-        t_ns=seconds_to_ns(to_number(image.stem.rpartition("_")[2], "name")),
-        vio_T_cam=None,
+        parsing.seconds_to_ns(parsing.to_number(image.stem.rpartition("_")[2], "name")),
         image=ImageFile(image),
-        intrinsics=Intrinsics.of(fx_fy_cx_cy, to_pixels(width), to_pixels(height)),
+        intrinsics=Intrinsics.of(fx_fy_cx_cy, parsing.to_pixels(width), parsing.to_pixels(height)),
         depth=DepthFile.if_there(*(image.parents[1] / kind / image.name for kind in ("lowres_depth", "confidence"))),
     )
 

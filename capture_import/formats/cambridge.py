@@ -14,23 +14,14 @@ A folder of images (`seq1`) is one recording; the lists say what each image is f
 import csv
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.data_sets import size_of
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import is_image
-from groundwalk.capture_import.parsing import (
-    BadRow,
-    inside,
-    lines_of,
-    number,
-    quaternion_pose,
-    read_rows,
-    seconds_to_ns,
-    split_numbers,
-    whole,
-)
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, PoseSource, SessionSplit
@@ -51,46 +42,41 @@ def detect(path: Path) -> bool:
 def read(path: Path, limits: Limits) -> Recording:
     """Read the rows of both lists that lie in this folder."""
     rows: list[tuple[str, tuple[SessionSplit, str]]] = []
-    for name, split in _LISTS.items():
-        file = path.parent / name
-        if file.is_file():
-            of_split = lines_of(file, limits, lambda line: line.startswith(f"{path.name}/"))
-            rows += [(source, (split, line)) for source, line in of_split]
+    for file, split in ((path.parent / name, split) for name, split in _LISTS.items()):
+        of_split = (
+            parsing.lines_of(file, limits, lambda line: line.startswith(f"{path.name}/")) if file.is_file() else []
+        )
+        rows += [(source, (split, line)) for source, line in of_split]
     focal = _focal_lengths(path.parent / "reconstruction.nvm", path.name, limits)
     cameras = _intrinsics(path.parent / "frames.csv", path.name, limits)
 
-    def read_row(place: int, source: str, row: tuple[SessionSplit, str]) -> RawFrame:
+    def read_row(place: int, row: tuple[SessionSplit, str]) -> RawFrame:
         split, line = row
         name, _, numbers = line.strip().partition(" ")
-        x, y, z, qw, qx, qy, qz = split_numbers(numbers, 7)
-        index = re.search(r"(\d{1,9})\.", name)
-        if index is None:
-            raise BadRow("row isn't an image's path and 7 numbers")
-        if Path(name).stem not in focal:
-            raise BadRow("image isn't in reconstruction.nvm")
-        cam_R_world = quaternion_pose([0.0, 0.0, 0.0], [qx, qy, qz, qw])[:3, :3]
-        image = inside(path.parent, name)
+        x, y, z, qw, qx, qy, qz = parsing.split_numbers(numbers, 7)
+        number = re.search(r"(\d{1,9})\.", name)
+        if number is None:
+            raise parsing.BadRow("row isn't an image's path and 7 numbers")
+        f = focal.get(Path(name).stem)
+        if f is None:
+            raise parsing.BadRow("image isn't in reconstruction.nvm")
+        cam_R_world = parsing.quaternion_pose([0.0, 0.0, 0.0], [qx, qy, qz, qw])[:3, :3]
+        image = parsing.inside(path.parent, name)
         width, height = size_of(image)
-        f = focal[Path(name).stem]
         return RawFrame(
-            number=int(index[1]),
-            source=source,
-            t_ns=seconds_to_ns(int(index[1])),
-            vio_T_cam=make_pose(cam_R_world.T, [x, y, z]),
-            image=ImageFile(image),
-            intrinsics=cameras.get(name) or Intrinsics(f, f, width / 2, height / 2, width, height),
+            parsing.seconds_to_ns(int(number[1])),
+            make_pose(cam_R_world.T, [x, y, z]),
+            ImageFile(image),
+            cameras.get(name) or Intrinsics(f, f, width / 2, height / 2, width, height),
             split=split,
+            number=int(number[1]),
         )
 
-    frames, rejects = read_rows(rows, read_row)
+    frames, rejects = parsing.read_rows(rows, read_row)
+    frames.sort(key=lambda frame: frame.number)
+    reference = PoseSource.REFERENCE
     return Recording(
-        "Cambridge Landmarks",
-        Clock.NAME_ORDER,
-        path,
-        sorted(frames, key=lambda frame: frame.number),
-        rejects,
-        pose_source=PoseSource.REFERENCE,
-        is_gravity_aligned=False,
+        "Cambridge Landmarks", Clock.NAME_ORDER, path, frames, rejects, reference, is_gravity_aligned=False
     )
 
 
@@ -101,10 +87,10 @@ def _focal_lengths(file: Path, folder: str, limits: Limits) -> dict[str, float]:
             "reconstruction.nvm is missing", where=file, do="it comes with the data set; it has the focal lengths"
         )
     by_name = {}
-    for _, line in lines_of(file, limits, lambda line: line.lstrip().startswith(f"{folder}/")):
+    for _, line in parsing.lines_of(file, limits, lambda line: line.lstrip().startswith(f"{folder}/")):
         fields = line.split()
         # A camera's row: name, focal length, quaternion, centre, radial distortion, 0.
-        if len(fields) == 11 and fields[0].startswith(f"{folder}/"):
+        if len(fields) == 11:
             value = float(fields[1]) if re.fullmatch(r"[0-9.]+(e[+-]?\d+)?", fields[1]) else math.nan
             by_name[Path(fields[0]).stem] = value
     return by_name
@@ -115,19 +101,19 @@ def _intrinsics(file: Path, folder: str, limits: Limits) -> dict[str, Intrinsics
     file."""
     if not file.is_file():
         return {}
-    lines = lines_of(file, limits, lambda line: line.startswith("frame_id,") or f"{folder}/" in line)
+    lines = parsing.lines_of(file, limits, lambda line: line.startswith("frame_id,") or f"{folder}/" in line)
     rows = csv.DictReader(line for _, line in lines)
     if not {"image", *_CAMERA, "distortion"} <= set(rows.fieldnames or ()):
         return {}
-    by_name = {}
     try:
-        for row in rows:
-            if not row["image"]:
-                continue
-            fx, fy, cx, cy = (number(row, name) for name in _CAMERA[2:])
-            lens = tuple(split_numbers(row["distortion"] or ""))
-            by_name[row["image"]] = Intrinsics(fx, fy, cx, cy, whole(row, "width"), whole(row, "height"), lens)
-    except (BadRow, csv.Error) as error:
+        return {
+            row["image"]: replace(
+                parsing.intrinsics(row), distortion=tuple(parsing.split_numbers(row["distortion"] or ""))
+            )
+            for row in rows
+            if row["image"]
+        }
+    except (parsing.BadRow, csv.Error) as error:
         raise UserError(
             "an export's cameras can't be read",
             where=file,
@@ -135,7 +121,6 @@ def _intrinsics(file: Path, folder: str, limits: Limits) -> dict[str, Intrinsics
             found=error,
             do="export the scene again",
         ) from None
-    return by_name
 
 
 FORMAT = Format(

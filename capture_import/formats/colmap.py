@@ -21,90 +21,60 @@ import functools
 import os
 import struct
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import import parsing
+from groundwalk.capture_import.capture import Intrinsics, Limits, Recording
 from groundwalk.capture_import.data_sets import (
     data_set_of,
     is_metric_export,
     notes_on_missing_folders,
+    read_reference,
     rows_of,
-    stated_splits,
 )
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import in_order
-from groundwalk.capture_import.parsing import (
-    BadRow,
-    fisheye_intrinsics,
-    inside,
-    lines_of,
-    numbered_lines,
-    quaternion_pose,
-    read_rows,
-    seconds_to_ns,
-    split_numbers,
-)
-from groundwalk.geometry.poses import inverse
+from groundwalk.geometry.poses import Array, inverse
 from groundwalk.store import UserError
-from groundwalk.store.choices import Clock, PoseSource
 
-# Name and number of parameters by the binary format's number: COLMAP's src/colmap/sensor/models.h.
+# Numbers of parameters and of the focal lengths among them, by the binary format's numbers (COLMAP's
+# src/colmap/sensor/models.h). Behind the principal point follow coefficients of OpenCV's model, or of its fisheye
+# model; those of a model without focal lengths here are none.
 _MODELS = {
-    0: ("SIMPLE_PINHOLE", 3),
-    1: ("PINHOLE", 4),
-    2: ("SIMPLE_RADIAL", 4),
-    3: ("RADIAL", 5),
-    4: ("OPENCV", 8),
-    5: ("OPENCV_FISHEYE", 8),
-    6: ("FULL_OPENCV", 12),
-    7: ("FOV", 5),
-    8: ("SIMPLE_RADIAL_FISHEYE", 4),
-    9: ("RADIAL_FISHEYE", 5),
-    10: ("THIN_PRISM_FISHEYE", 12),
-}
-# How many focal lengths a model has, and OpenCV's coefficients (k1, k2, p1, p2, k3, ...) by their places behind.
-_READ = {
-    "SIMPLE_PINHOLE": (1, ()),
-    "PINHOLE": (2, ()),
-    "SIMPLE_RADIAL": (1, (3, None, None, None)),
-    "RADIAL": (1, (3, 4, None, None)),
-    "OPENCV": (2, (4, 5, 6, 7)),
-    "FULL_OPENCV": (2, (4, 5, 6, 7, 8, 9, 10, 11)),
-    # k1 to k4 of OpenCV's fisheye model.
-    "SIMPLE_RADIAL_FISHEYE": (1, (3, None, None, None)),
-    "RADIAL_FISHEYE": (1, (3, 4, None, None)),
-    "OPENCV_FISHEYE": (2, (4, 5, 6, 7)),
+    "SIMPLE_PINHOLE": (3, 1),
+    "PINHOLE": (4, 2),
+    "SIMPLE_RADIAL": (4, 1),
+    "RADIAL": (5, 1),
+    "OPENCV": (8, 2),
+    "OPENCV_FISHEYE": (8, 2),
+    "FULL_OPENCV": (12, 2),
+    "FOV": (5, 0),
+    "SIMPLE_RADIAL_FISHEYE": (4, 1),
+    "RADIAL_FISHEYE": (5, 1),
+    "THIN_PRISM_FISHEYE": (12, 0),
 }
 _LONGEST_NAME = 1 << 12
 
 
-@dataclass(frozen=True)
-class _Camera:
+class _Camera(NamedTuple):
     model: str
     width: int
     height: int
     params: tuple[float, ...]
 
 
-@dataclass(frozen=True)
-class _Image:
+class _Image(NamedTuple):
     name: str
     camera: int
     xyzw: tuple[float, ...]
     translation: tuple[float, ...]
 
 
-def _model_in(folder: Path) -> bool:
-    return any((folder / f"cameras{s}").is_file() and (folder / f"images{s}").is_file() for s in (".bin", ".txt"))
-
-
-@dataclass(frozen=True)
-class _DataSet:
+class _DataSet(NamedTuple):
     """A folder with models: their cameras and images by their folders, the largest model first, and the folder in which
     the images of that one lie."""
 
@@ -112,30 +82,33 @@ class _DataSet:
     images: Path
 
 
-def _images_of(path: Path, limits: Limits | None = None) -> Path | None:
+def _images_of(path: Path) -> Path | None:
     """A data set's folder of images; None where there is no model."""
-    if not (folders := _model_folders(path)):
-        return None
     try:
-        return _data_set(path, folders, limits or Limits(), _written(path, folders)).images
+        data_set = _read_data_set(path, Limits())
     except UserError:  # `read` says what is wrong with the model
         return path / "images"
+    return data_set.images if data_set else None
 
 
-def _model_folders(path: Path) -> tuple[Path, ...]:
+def _read_data_set(path: Path, limits: Limits) -> _DataSet | None:
+    """What a folder's models hold; None where it has none."""
     sparse = path / "sparse"
     below = in_order(p for p in sparse.iterdir() if p.is_dir()) if sparse.is_dir() else []
-    return tuple(folder for folder in (*below, sparse, path) if _model_in(folder))
-
-
-def _written(path: Path, folders: Iterable[Path]) -> tuple[int, ...]:
-    """When the folder's entries and its models' files last changed."""
+    folders = tuple(folder for folder in (*below, sparse, path) if _suffix_in(folder))
     files = [file for folder in folders for name in ("cameras.*", "images.*") for file in folder.glob(name)]
-    return tuple(file.stat().st_mtime_ns for file in (path, *files))
+    return _read_models(path, folders, limits, tuple(f.stat().st_mtime_ns for f in (path, *files))) if folders else None
+
+
+def _suffix_in(folder: Path) -> str:
+    """The suffix of the model's files in a folder, binary where both kinds are there, as COLMAP does; empty: none."""
+    has = ((s, (folder / f"cameras{s}").is_file() and (folder / f"images{s}").is_file()) for s in (".bin", ".txt"))
+    return next((suffix for suffix, is_there in has if is_there), "")
 
 
 @functools.lru_cache(maxsize=2)  # each folder of images asks for its data set, some thousand times where there are many
-def _data_set(path: Path, folders: tuple[Path, ...], limits: Limits, written: tuple[int, ...]) -> _DataSet:
+def _read_models(path: Path, folders: tuple[Path, ...], limits: Limits, written: tuple[int, ...]) -> _DataSet:
+    """`written`: when the folder's entries and its models' files last changed."""
     models = {folder: _read_model(folder, limits) for folder in folders}
     largest_first = sorted(models, key=lambda folder: -len(models[folder][1]))
     names = [image.name for image in models[largest_first[0]][1]]
@@ -149,8 +122,8 @@ def _count(folder: Path, names: Iterable[str]) -> int:
     """How many images of these names are in a folder."""
     count = 0
     for name in names if folder.is_dir() else ():
-        with contextlib.suppress(BadRow):  # `read` refuses names that lead elsewhere
-            count += inside(folder, name).is_file()
+        with contextlib.suppress(parsing.BadRow):  # `read` refuses names that lead elsewhere
+            count += parsing.inside(folder, name).is_file()
     return count
 
 
@@ -163,87 +136,61 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, limits: Limits) -> Recording:
     """Read the images of one recording."""
-    data_set = data_set_of(path, _images_of) or path
-    ours = is_metric_export(data_set)
-    folders = _model_folders(data_set)
-    content = _data_set(data_set, folders, limits, _written(data_set, folders))
-    largest, *others = content.models
-    images: dict[str, tuple[_Image, _Camera | None]] = {}
-    for folder in [largest, *others] if ours else [largest]:
-        cameras, listed = content.models[folder]
-        images |= {f"{folder.name} {i.name}": (i, cameras.get(i.camera)) for i in listed}
+    folder = data_set_of(path, _images_of) or path
+    data_set = _read_data_set(folder, limits)
+    assert data_set is not None  # `detect` has seen a model
+    (largest, (_, listed)), *others = data_set.models.items()
+    notes, used = [], data_set.models
+    if not is_metric_export(folder):
+        used = {largest: data_set.models[largest]}
+        # Not those of the same images, which COLMAP's own layouts have.
+        names = {image.name for image in listed}
+        apart = {f: len(i) for f, (_, i) in others if not names.issuperset(image.name for image in i)}
+        counts = ", ".join(f"{model.relative_to(folder)} ({count})" for model, count in apart.items())
+        if apart:
+            notes.append(
+                f"{largest.relative_to(folder)} is read, the model with most images ({len(listed)}); each has a world "
+                f"of its own, so these aren't: {counts}"
+            )
+    by_source = {f"{m.name} {i.name}": (i, cameras.get(i.camera)) for m, (cameras, of_m) in used.items() for i in of_m}
     try:
-        named = [(source, inside(content.images, image.name)) for source, (image, _) in images.items()]
-    except BadRow as error:
-        raise UserError("an image of the model leads elsewhere", where=data_set, found=error) from None
-    rows = rows_of(data_set, path, named)
-    test_list = data_set / "test.txt"  # our exports write it
-    tested = {content.images / line for _, line in lines_of(test_list, limits)} if test_list.is_file() else set()
-    split_of = stated_splits([file for _, file in rows], tested)
-
-    def read_row(number: int, source: str, file: Path) -> RawFrame:
-        image, camera = images[source]
-        if camera is None:
-            raise BadRow(f"the model has no camera {image.camera}")
-        cam_T_world = quaternion_pose(image.translation, image.xyzw)
-        if not (np.abs(cam_T_world) < 1e100).all():
-            raise BadRow("pose has a value that isn't finite or is too large")
-        return RawFrame(
-            number=number,
-            source=source,
-            t_ns=seconds_to_ns(number),
-            vio_T_cam=inverse(cam_T_world),
-            image=ImageFile(file),
-            intrinsics=_intrinsics(camera),
-            split=split_of.get(file),
-        )
-
-    frames, rejects = read_rows(rows, read_row)
-    return Recording(
-        "unknown",
-        Clock.NAME_ORDER,
-        path,
-        frames,
-        rejects,
-        pose_source=PoseSource.REFERENCE,
-        is_gravity_aligned=ours,
-        is_metric=ours,
-        notes=[*notes_on_missing_folders(named), *([] if ours else _other_models(content, data_set))],
+        rows = [(source, parsing.inside(data_set.images, row[0].name), row) for source, row in by_source.items()]
+    except parsing.BadRow as error:
+        raise UserError("an image of the model leads elsewhere", where=folder, found=error) from None
+    test_list = folder / "test.txt"  # our exports write it
+    tested = (
+        {data_set.images / line for _, line in parsing.lines_of(test_list, limits)} if test_list.is_file() else set()
     )
 
+    def read_row(_: Path, row: tuple[_Image, _Camera | None]) -> tuple[Array, Intrinsics]:
+        image, camera = row
+        if camera is None:
+            raise parsing.BadRow(f"the model has no camera {image.camera}")
+        cam_T_world = parsing.quaternion_pose(image.translation, image.xyzw)
+        if not (np.abs(cam_T_world) < 1e100).all():
+            raise parsing.BadRow("pose has a value that isn't finite or is too large")
+        return inverse(cam_T_world), _intrinsics(camera)
 
-def _other_models(content: _DataSet, data_set: Path) -> list[str]:
-    """A note on models that aren't read, but for those of the same images, which COLMAP's own layouts have."""
-    (largest, (_, images)), *others = content.models.items()
-    names = {image.name for image in images}
-    apart = {f: len(i) for f, (_, i) in others if not names.issuperset(image.name for image in i)}
-    if not apart:
-        return []
-    listed = ", ".join(f"{folder.relative_to(data_set)} ({count})" for folder, count in apart.items())
-    return [
-        f"{largest.relative_to(data_set)} is read, the model with most images ({len(images)}); each has a world of its "
-        f"own, so these aren't: {listed}"
-    ]
+    notes = [*notes_on_missing_folders(rows), *notes]
+    return read_reference(path, folder, rows_of(folder, path, rows), read_row, tested, notes)
 
 
 def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[_Image]]:
-    """Cameras by their number, and images; the binary files where both kinds are there, as COLMAP does."""
-    binary = (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file()
-    suffix = ".bin" if binary else ".txt"
+    """Cameras by their number, and images."""
+    suffix, most = _suffix_in(folder), limits.max_rows
     cameras, images = folder / f"cameras{suffix}", folder / f"images{suffix}"
-    most = limits.max_rows
     try:
-        if binary:
+        if suffix == ".bin":
             with cameras.open("rb") as file:
                 by_number = dict(islice(_binary_cameras(file), most + 1))
             with images.open("rb") as file:
                 listed = list(islice(_binary_images(file), most + 1))
         else:
-            by_number = dict(_text_cameras([line for _, line in lines_of(cameras, limits)]))
-            listed = list(islice(_text_images(line for _, line in numbered_lines(images, limits)), most + 1))
+            by_number = dict(_text_cameras([line for _, line in parsing.lines_of(cameras, limits)]))
+            listed = list(islice(_text_images(line for _, line in parsing.numbered_lines(images, limits)), most + 1))
         if max(len(by_number), len(listed)) > most:
-            raise BadRow(f"more than {most} cameras or images")
-    except (BadRow, struct.error, UnicodeDecodeError, OSError) as error:
+            raise parsing.BadRow(f"more than {most} cameras or images")
+    except (parsing.BadRow, struct.error, UnicodeDecodeError, OSError) as error:
         raise UserError(
             "a COLMAP model can't be read",
             where=folder,
@@ -255,25 +202,27 @@ def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[
 
 
 def _binary_cameras(file: BinaryIO) -> Iterator[tuple[int, _Camera]]:
-    (count,) = _take(file, "<Q")
-    for _ in range(count):
+    names = list(_MODELS)
+    for _ in range(*_take(file, "<Q")):
         number, model, width, height = _take(file, "<IiQQ")
-        if model not in _MODELS:
-            raise BadRow(f"cameras.bin has a camera model of number {model}, whose length isn't known")
-        name, params = _MODELS[model]
-        yield number, _Camera(name, width, height, _take(file, f"<{params}d"))
+        if not 0 <= model < len(names):
+            raise parsing.BadRow(f"cameras.bin has a camera model of number {model}, whose length isn't known")
+        yield number, _Camera(names[model], width, height, _take(file, f"<{_MODELS[names[model]][0]}d"))
 
 
 def _binary_images(file: BinaryIO) -> Iterator[_Image]:
     size = os.fstat(file.fileno()).st_size
-    (count,) = _take(file, "<Q")
-    for _ in range(count):
+    for _ in range(*_take(file, "<Q")):
         _, qw, qx, qy, qz, tx, ty, tz, camera = _take(file, "<I7dI")
-        name = _name(file)
-        (points,) = _take(file, "<Q")
+        start = file.tell()
+        encoded, end_of_name, _ = file.read(_LONGEST_NAME).partition(b"\0")
+        if not end_of_name:
+            raise parsing.BadRow("images.bin has an image whose name doesn't end")
+        file.seek(start + len(encoded) + 1)
+        name, (points,) = encoded.decode(), _take(file, "<Q")
         end = file.tell() + 24 * points
         if end > size:
-            raise BadRow(f"images.bin has {size} bytes, but points of {name[:60]} up to byte {end}")
+            raise parsing.BadRow(f"images.bin has {size} bytes, but points of {name[:60]} up to byte {end}")
         file.seek(end)
         yield _Image(name, camera, (qx, qy, qz, qw), (tx, ty, tz))
 
@@ -282,21 +231,12 @@ def _take(file: BinaryIO, form: str) -> tuple[Any, ...]:
     return struct.unpack(form, file.read(struct.calcsize(form)))
 
 
-def _name(file: BinaryIO) -> str:
-    name = bytearray()
-    while (character := file.read(1)) != b"\0":
-        if not character or len(name) == _LONGEST_NAME:
-            raise BadRow("images.bin has an image whose name doesn't end")
-        name += character
-    return name.decode()
-
-
 def _text_cameras(lines: Iterable[str]) -> Iterator[tuple[int, _Camera]]:
     for line in lines:
         fields = line.split()
-        width, height, *params = split_numbers(" ".join(fields[2:])) if len(fields) > 4 else (0.0, 0.0)
+        width, height, *params = parsing.split_numbers(" ".join(fields[2:])) if len(fields) > 4 else (0.0, 0.0)
         if not _is_id(fields[0]) or not (0 < width < 1e6 and 0 < height < 1e6):
-            raise BadRow(f"cameras.txt has a row that isn't CAMERA_ID MODEL WIDTH HEIGHT PARAMS: {line[:60]}")
+            raise parsing.BadRow(f"cameras.txt has a row that isn't CAMERA_ID MODEL WIDTH HEIGHT PARAMS: {line[:60]}")
         yield int(fields[0]), _Camera(fields[1], int(width), int(height), tuple(params))
 
 
@@ -307,8 +247,9 @@ def _text_images(lines: Iterable[str]) -> Iterator[_Image]:
             continue
         fields = line.split(maxsplit=9)
         if len(fields) != 10 or not _is_id(fields[8]):
-            raise BadRow(f"images.txt has a row that isn't IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME: {line[:60]}")
-        qw, qx, qy, qz, *translation = split_numbers(" ".join(fields[1:8]))
+            expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
+            raise parsing.BadRow(f"images.txt has a row that isn't {expected}: {line[:60]}")
+        qw, qx, qy, qz, *translation = parsing.split_numbers(" ".join(fields[1:8]))
         yield _Image(fields[9].strip(), int(fields[8]), (qx, qy, qz, qw), tuple(translation))
         next(lines, None)  # its points
 
@@ -318,17 +259,17 @@ def _is_id(text: str) -> bool:
 
 
 def _intrinsics(camera: _Camera) -> Intrinsics:
-    if camera.model not in _READ:
-        raise BadRow(f"camera model {camera.model[:40]} is none of {', '.join(_READ)}")
-    focal, places = _READ[camera.model]
-    length = max([focal + 2, *(p + 1 for p in places if p is not None)])
-    if len(camera.params) != length:
-        raise BadRow(f"camera model {camera.model} has {len(camera.params)} parameters, not {length}")
-    fx, fy, (cx, cy) = camera.params[0], camera.params[focal - 1], camera.params[focal : focal + 2]
-    distortion = tuple(0.0 if place is None else camera.params[place] for place in places)
+    count, focal = _MODELS.get(camera.model, (0, 0))
+    if not focal:
+        usable = ", ".join(name for name, (_, focal) in _MODELS.items() if focal)
+        raise parsing.BadRow(f"camera model {camera.model[:40]} is none of {usable}")
+    if len(camera.params) != count:
+        raise parsing.BadRow(f"camera model {camera.model} has {len(camera.params)} parameters, not {count}")
+    fx, fy, (cx, cy, *rest) = camera.params[0], camera.params[focal - 1], camera.params[focal:]
+    distortion = (*rest, *[0.0] * (4 - len(rest)))
     if camera.model.endswith("FISHEYE"):
-        return fisheye_intrinsics((fx, fy, cx, cy), camera.width, camera.height, distortion)
-    return Intrinsics(fx, fy, cx, cy, camera.width, camera.height, distortion if any(distortion) else ())
+        return parsing.fisheye_intrinsics((fx, fy, cx, cy), camera.width, camera.height, distortion)
+    return Intrinsics(fx, fy, cx, cy, camera.width, camera.height, distortion if any(rest) else ())
 
 
 FORMAT = Format(

@@ -14,25 +14,9 @@ The poses are a reference, not VIO.
 import re
 from pathlib import Path
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.joining import join_by_time
-from groundwalk.capture_import.parsing import (
-    YUP_T_ZUP,
-    BadRow,
-    fisheye_intrinsics,
-    inside,
-    lines_of,
-    quaternion_pose,
-    read_rows,
-    read_text,
-    row_major_pose,
-    seconds_to_ns,
-    split_numbers,
-    to_number,
-    to_pixels,
-    yaml_numbers,
-)
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, PoseSource
 
@@ -43,35 +27,36 @@ def read(path: Path, limits: Limits) -> Recording:
     """Read both lists; poses are interpolated where an image lies between two rows."""
     camera = path / "mav0" / "cam0"
     try:
-        text = read_text(camera / "sensor.yaml")
-        body_T_cam = row_major_pose(yaml_numbers(text, "T_BS", 16))
+        text = parsing.read_text(camera / "sensor.yaml")
+        body_T_cam = parsing.row_major_pose(parsing.yaml_numbers(text, "T_BS", 16))
         intrinsics = _intrinsics(text)
-    except BadRow as error:
+    except parsing.BadRow as error:
         raise UserError("the camera can't be read", where=camera / "sensor.yaml", found=error) from None
 
-    def read_pose(number: int, source: str, line: str) -> RawFrame:
-        t_ns, x, y, z, qw, qx, qy, qz, *_ = (*split_numbers(line, separator=","), *[float("nan")] * 8)
-        world_T_body = quaternion_pose([x, y, z], [qx, qy, qz, qw])
-        return RawFrame(number, source, seconds_to_ns(t_ns * 1e-9), YUP_T_ZUP @ world_T_body @ body_T_cam)
+    def read_pose(place: int, line: str) -> RawFrame:
+        t_ns, x, y, z, qw, qx, qy, qz, *_ = (*parsing.split_numbers(line, separator=","), *[float("nan")] * 8)
+        world_T_body = parsing.quaternion_pose([x, y, z], [qx, qy, qz, qw])
+        return RawFrame(parsing.seconds_to_ns(t_ns * 1e-9), parsing.YUP_T_ZUP @ world_T_body @ body_T_cam)
 
-    def read_image(number: int, source: str, line: str) -> RawFrame:
+    def read_image(place: int, line: str) -> RawFrame:
         t_ns, _, name = line.partition(",")
-        image = ImageFile(inside(camera / "data", name.strip()))
-        return RawFrame(number, source, seconds_to_ns(to_number(t_ns, "time") * 1e-9), None, image, intrinsics)
+        image = ImageFile(parsing.inside(camera / "data", name.strip()))
+        time_ns = parsing.seconds_to_ns(parsing.to_number(t_ns, "time") * 1e-9)
+        return RawFrame(time_ns, image=image, intrinsics=intrinsics)
 
     truth = next(path / name for name in _TRUTH if (path / name).is_file())
-    poses, rejects = read_rows(lines_of(truth, limits), read_pose)
-    images, more = read_rows(lines_of(camera / "data.csv", limits), read_image)
-    rows = join_by_time(poses, images)
+    poses, rejects = parsing.read_rows(parsing.lines_of(truth, limits), read_pose)
+    images, more = parsing.read_rows(parsing.lines_of(camera / "data.csv", limits), read_image)
+    rows = parsing.join_by_time(poses, images)
     return Recording("unknown", Clock.UNIX, path, rows, [*rejects, *more], pose_source=PoseSource.REFERENCE)
 
 
 def _intrinsics(text: str) -> Intrinsics:
-    fx, fy, cx, cy = yaml_numbers(text, "intrinsics", 4)
-    width, height = (to_pixels(size) for size in yaml_numbers(text, "resolution", 2))
-    distortion = tuple(yaml_numbers(text, "distortion_coefficients", 4))
+    fx, fy, cx, cy = parsing.yaml_numbers(text, "intrinsics", 4)
+    width, height = (parsing.to_pixels(size) for size in parsing.yaml_numbers(text, "resolution", 2))
+    distortion = tuple(parsing.yaml_numbers(text, "distortion_coefficients", 4))
     if re.search(r"^distortion_model:\s*equidistant", text, re.M):
-        return fisheye_intrinsics((fx, fy, cx, cy), width, height, distortion)
+        return parsing.fisheye_intrinsics((fx, fy, cx, cy), width, height, distortion)
     return Intrinsics(fx, fy, cx, cy, width, height, distortion)
 
 

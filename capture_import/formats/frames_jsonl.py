@@ -8,25 +8,13 @@ The first line says what the recording is, each other line is one instant:
      "fx": 1447.6, "fy": 1447.6, "cx": 966.0, "cy": 691.7, "width": 1920, "height": 1440, "tracking": "normal"}
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.parsing import (
-    MAX_NS,
-    BadRow,
-    inside,
-    lines_of,
-    number,
-    numbers,
-    optional_number,
-    optional_size,
-    parse_json,
-    read_rows,
-    row_major_pose,
-    to_number,
-)
 from groundwalk.geometry.shutter import MAX_READOUT_S
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, ImageSide, Tracking, UpSource
@@ -37,40 +25,42 @@ _CLOCKS = [clock for clock in Clock if clock.has_times]
 
 def read(path: Path, limits: Limits) -> Recording:
     """Read the header and the rows."""
-    lines = lines_of(path / "frames.jsonl", limits)
+    lines = parsing.lines_of(path / "frames.jsonl", limits)
     header = _header(path, lines[0][1] if lines else "")
 
-    def read_row(index: int, source: str, line: str) -> RawFrame:
-        row = parse_json(line)
+    def read_row(_: int, line: str) -> RawFrame:
+        row = parsing.parse_json(line)
         t_ns = row.get("t_ns")
-        if not isinstance(t_ns, int) or abs(t_ns) > MAX_NS:
-            raise BadRow("t_ns is no whole number of nanoseconds")
+        if not isinstance(t_ns, int) or abs(t_ns) > parsing.MAX_NS:
+            raise parsing.BadRow("t_ns is no whole number of nanoseconds")
         tracking = row.get("tracking", Tracking.UNKNOWN)
         if tracking not in [*Tracking]:
-            raise BadRow(f"tracking is none of {', '.join(Tracking)}")
-        depth, confidence = row.get("depth"), row.get("depth_confidence")
+            raise parsing.BadRow(f"tracking is none of {', '.join(Tracking)}")
+        pose = (
+            parsing.row_major_pose(parsing.numbers(row, "vio_T_cam", 16)) if row.get("vio_T_cam") is not None else None
+        )
+        image, depth, confidence = (
+            parsing.inside(path, row[key]) if row.get(key) is not None else None
+            for key in ("image", "depth", "depth_confidence")
+        )
         return RawFrame(
-            number=index,
-            source=source,
-            t_ns=t_ns,
-            vio_T_cam=row_major_pose(numbers(row, "vio_T_cam", 16)) if row.get("vio_T_cam") is not None else None,
-            image=ImageFile(inside(path, row["image"])) if row.get("image") is not None else None,
-            intrinsics=_intrinsics(row) if row.get("image") is not None else None,
-            tracking=Tracking(tracking),
-            exposure_s=optional_number(row, "exposure_s"),
-            depth=None
-            if depth is None
-            else DepthFile(inside(path, depth), None if confidence is None else inside(path, confidence)),
+            t_ns,
+            pose,
+            ImageFile(image) if image else None,
+            _intrinsics(row) if image else None,
+            Tracking(tracking),
+            parsing.optional_number(row, "exposure_s"),
+            DepthFile(depth, confidence) if depth else None,
         )
 
-    frames, rejects = read_rows(lines[1:], read_row)
+    frames, rejects = parsing.read_rows(lines[1:], read_row)
     return Recording(folder=path, frames=frames, rejects=rejects, **header)
 
 
 def _header(path: Path, line: str) -> dict[str, Any]:
     try:
-        header = parse_json(line)
-    except BadRow:
+        header = parsing.parse_json(line)
+    except parsing.BadRow:
         header = {}
     device, clock = header.get("device", "unknown"), header.get("clock", Clock.BOOT)
     first_row, readout_s = header.get("first_row"), header.get("readout_s")
@@ -102,10 +92,9 @@ def _header(path: Path, line: str) -> dict[str, Any]:
 def _intrinsics(row: dict[str, Any]) -> Intrinsics:
     distortion = row.get("distortion", [])
     if not isinstance(distortion, list):
-        raise BadRow("distortion is no list")
-    fx, fy, cx, cy = (number(row, key) for key in ("fx", "fy", "cx", "cy"))
-    coefficients = tuple(to_number(k, "distortion") for k in distortion)
-    return Intrinsics(fx, fy, cx, cy, *optional_size(row, "width", "height"), coefficients)
+        raise parsing.BadRow("distortion is no list")
+    coefficients = tuple(parsing.to_number(k, "distortion") for k in distortion)
+    return replace(parsing.intrinsics(row), distortion=coefficients)
 
 
 FORMAT = Format(

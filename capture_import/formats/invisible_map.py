@@ -8,38 +8,30 @@ z backward). `location_data` holds coordinates of the earth and is never read.
 from pathlib import Path
 from typing import Any
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.parsing import (
-    first_bytes,
-    from_arkit,
-    json_of,
-    number,
-    numbers,
-    read_rows,
-    seconds_to_ns,
-)
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 
 
 def detect(path: Path) -> bool:
     """A JSON file that has pose_data."""
-    return path.suffix == ".json" and b'"pose_data"' in first_bytes(path, 64 << 20)
+    return path.suffix == ".json" and b'"pose_data"' in parsing.first_bytes(path, 64 << 20)
 
 
 def read(path: Path, limits: Limits) -> Recording:
     """Read the poses."""
-    rows = json_of(path, limits).get("pose_data")
+    rows = parsing.json_of(path, limits).get("pose_data")
     if not isinstance(rows, list):
         raise UserError("pose_data is no list", where=path, expected="objects with timestamp and pose")
-    frames, rejects = read_rows([(f"pose {i}", row) for i, row in enumerate(rows)], _read_row)
+    frames, rejects = parsing.read_rows([(f"pose {i}", row) for i, row in enumerate(rows)], _read_row)
     return Recording("iOS", Clock.BOOT, path.parent, frames, rejects)
 
 
-def _read_row(index: int, source: str, row: Any) -> RawFrame:
-    pose = from_arkit(numbers(row, "pose", 16).reshape(4, 4).T)
-    return RawFrame(index, source, seconds_to_ns(number(row, "timestamp"), "timestamp"), pose)
+def _read_row(_: int, row: Any) -> RawFrame:
+    pose = parsing.from_arkit(parsing.numbers(row, "pose", 16).reshape(4, 4).T)
+    return RawFrame(parsing.seconds_to_ns(parsing.number(row, "timestamp"), "timestamp"), pose)
 
 
 FORMAT = Format(

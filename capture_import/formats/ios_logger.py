@@ -12,46 +12,34 @@ Documented at https://github.com/Varvrar/ios_logger (README, "Dataset format"). 
 
 from pathlib import Path
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, Recording, VideoFrame
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.joining import join_by_time
 from groundwalk.capture_import.media.video import require_row_per_frame
-from groundwalk.capture_import.parsing import (
-    from_arkit,
-    lines_of,
-    quaternion_pose,
-    read_rows,
-    seconds_to_ns,
-    split_numbers,
-)
 from groundwalk.store.choices import Clock
 
 
 def read(path: Path, limits: Limits) -> Recording:
     """Read poses and images and join them by time; images and video frames belong together by number."""
-    poses, rejects = read_rows(lines_of(path / "ARposes.txt", limits), _read_pose)
-    rows = lines_of(path / "Frames.txt", limits)
+    poses, rejects = parsing.read_rows(parsing.lines_of(path / "ARposes.txt", limits), _read_pose)
+    rows = parsing.lines_of(path / "Frames.txt", limits)
     video = path / "Frames.m4v"
     require_row_per_frame(video, "Frames.txt", len(rows), limits)
 
-    def read_image(index: int, source: str, line: str) -> RawFrame:
-        time_s, _, *camera = split_numbers(line, 6, ",")
-        return RawFrame(
-            number=index,
-            source=source,
-            t_ns=seconds_to_ns(time_s),
-            vio_T_cam=None,
-            image=VideoFrame(video, index),
-            intrinsics=Intrinsics.of(camera),
-        )
+    def read_image(index: int, line: str) -> RawFrame:
+        time_s, _, *camera = parsing.split_numbers(line, 6, ",")
+        image = VideoFrame(video, index)
+        return RawFrame(parsing.seconds_to_ns(time_s), image=image, intrinsics=Intrinsics.of(camera))
 
-    images, more = read_rows(rows, read_image)
-    return Recording("iOS, ios_logger", Clock.UNIX, path, join_by_time(poses, images), [*rejects, *more])
+    images, more = parsing.read_rows(rows, read_image)
+    frames = parsing.join_by_time(poses, images)
+    return Recording("iOS, ios_logger", Clock.UNIX, path, frames, [*rejects, *more])
 
 
-def _read_pose(number: int, source: str, line: str) -> RawFrame:
-    time_s, x, y, z, qw, qx, qy, qz = split_numbers(line, 8, ",")
-    return RawFrame(number, source, seconds_to_ns(time_s), from_arkit(quaternion_pose([x, y, z], [qx, qy, qz, qw])))
+def _read_pose(_: int, line: str) -> RawFrame:
+    time_s, x, y, z, qw, qx, qy, qz = parsing.split_numbers(line, 8, ",")
+    pose = parsing.from_arkit(parsing.quaternion_pose([x, y, z], [qx, qy, qz, qw]))
+    return RawFrame(parsing.seconds_to_ns(time_s), pose)
 
 
 FORMAT = Format(

@@ -14,22 +14,9 @@ A transforms.json without times has poses from SfM: that's the format `nerfstudi
 from pathlib import Path
 from typing import Any
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import import parsing
+from groundwalk.capture_import.capture import ImageFile, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.joining import join_by_time
-from groundwalk.capture_import.parsing import (
-    BadRow,
-    first_bytes,
-    from_arkit,
-    inside,
-    json_of,
-    number,
-    numbers,
-    read_rows,
-    row_major_pose,
-    seconds_to_ns,
-    whole,
-)
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 from groundwalk.store.hints import setting_of
@@ -37,12 +24,12 @@ from groundwalk.store.hints import setting_of
 
 def detect(path: Path) -> bool:
     """A folder with images and a transforms.json that has a time in its first bytes."""
-    return (path / "images").is_dir() and b'"timestamp"' in first_bytes(path / "transforms.json")
+    return (path / "images").is_dir() and b'"timestamp"' in parsing.first_bytes(path / "transforms.json")
 
 
 def read(path: Path, limits: Limits) -> Recording:
     """Read the frames and put them in the order of time."""
-    rows = json_of(path / "transforms.json", limits).get("frames")
+    rows = parsing.json_of(path / "transforms.json", limits).get("frames")
     if not isinstance(rows, list) or not any(isinstance(row, dict) and "timestamp" in row for row in rows):
         raise UserError(
             "transforms.json isn't NeRFCapture's",
@@ -53,27 +40,21 @@ def read(path: Path, limits: Limits) -> Recording:
             + setting_of("import", 'format = "nerfstudio"'),
         )
 
-    def read_row(index: int, source: str, row: Any) -> RawFrame:
+    def read_row(_: int, row: Any) -> RawFrame:
         if not isinstance(row, dict):
-            raise BadRow("frame is no object")
-        image = inside(path, row.get("file_path"))
+            raise parsing.BadRow("frame is no object")
+        image = parsing.inside(path, row.get("file_path"))
         if not image.suffix or not image.exists():
             image = image.with_name(image.name + ".png")
         return RawFrame(
-            number=index,
-            source=source,
-            t_ns=seconds_to_ns(number(row, "timestamp"), "timestamp"),
-            vio_T_cam=from_arkit(row_major_pose(numbers(row, "transform_matrix", 16))),
-            image=ImageFile(image),
-            intrinsics=Intrinsics.of(
-                (number(row, key) for key in ("fl_x", "fl_y", "cx", "cy")),
-                width=whole(row, "w"),
-                height=whole(row, "h"),
-            ),
+            parsing.seconds_to_ns(parsing.number(row, "timestamp"), "timestamp"),
+            parsing.from_arkit(parsing.row_major_pose(parsing.numbers(row, "transform_matrix", 16))),
+            ImageFile(image),
+            parsing.intrinsics(row, ("fl_x", "fl_y", "cx", "cy"), ("w", "h")),
         )
 
-    frames, rejects = read_rows([(f"frame {i}", row) for i, row in enumerate(rows)], read_row)
-    return Recording("iOS, NeRFCapture", Clock.BOOT, path, join_by_time([], frames), rejects)
+    frames, rejects = parsing.read_rows([(f"frame {i}", row) for i, row in enumerate(rows)], read_row)
+    return Recording("iOS, NeRFCapture", Clock.BOOT, path, parsing.join_by_time([], frames), rejects)
 
 
 FORMAT = Format(

@@ -19,39 +19,25 @@ The poses are a reference, not VIO. Each folder of images in `images/` is a reco
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording, Reject
+from groundwalk.capture_import import parsing
+from groundwalk.capture_import.capture import Intrinsics, Limits, Recording, Reject
 from groundwalk.capture_import.data_sets import (
     data_set_of,
-    is_metric_export,
     notes_on_missing_folders,
+    read_reference,
     rows_of,
     size_of,
-    stated_splits,
 )
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import SUFFIXES, is_image
-from groundwalk.capture_import.parsing import (
-    BadRow,
-    first_bytes,
-    fisheye_intrinsics,
-    from_arkit,
-    inside,
-    json_of,
-    number,
-    numbers,
-    optional_size,
-    read_rows,
-    row_major_pose,
-    seconds_to_ns,
-)
 from groundwalk.geometry.poses import Array, inverse, rigidity_error
 from groundwalk.store import UserError
-from groundwalk.store.choices import Clock, PoseSource
 from groundwalk.store.files import leads_outside
 
 _TEST_FILE = "transforms_test.json"
@@ -60,6 +46,11 @@ _MODELS = ("OPENCV", "PINHOLE", "OPENCV_FISHEYE")
 # OpenCV's order.
 _DISTORTION, _FISHEYE = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
 _RIGID_TOLERANCE = 1e-3
+# What is said of a recording whose cameras lack a key.
+_ASSUMED = {
+    "the focal length is that of camera_angle_x and the images' width": "fl_x",
+    "the principal point isn't stated: the middle of the image is taken": "cx",
+}
 
 
 def _images_of(path: Path) -> Path | None:
@@ -68,7 +59,7 @@ def _images_of(path: Path) -> Path | None:
 
 
 def _is_log(file: Path) -> bool:
-    start = first_bytes(file)
+    start = parsing.first_bytes(file)
     return bool(start) and b'"timestamp"' not in start
 
 
@@ -81,12 +72,11 @@ def read(path: Path, limits: Limits) -> Recording:
     """Read the frames of one recording."""
     data_set = data_set_of(path, _images_of) or path
     logs = [data_set / name for name in _FILES if _is_log(data_set / name)]
-    row_of: dict[str, tuple[Array, dict[str, Any]]] = {}
-    named: list[tuple[str, Path]] = []
+    rows: list[tuple[str, Path, tuple[Array, dict[str, Any]]]] = []
     nameless: list[Reject] = []
     tested: set[Path] = set()
     for file in logs[:1] if logs[0].name == _FILES[0] else logs:
-        content = json_of(file, limits)
+        content = parsing.json_of(file, limits)
         frames = content.get("frames")
         if not isinstance(frames, list):
             raise UserError(f"{file.name} has no frames", where=file, expected="frames: a list")
@@ -95,56 +85,36 @@ def read(path: Path, limits: Limits) -> Recording:
             source = f"frame {i}" if file.name == _FILES[0] else f"{file.stem} frame {i}"
             try:
                 image = _image(data_set, row)
-            except BadRow as error:
+            except parsing.BadRow as error:
                 nameless.append(Reject(source, None, f"names no image: {error}"))
                 continue
-            named.append((source, image))
-            row_of[source] = (world_T_file, content | row)
+            rows.append((source, image, (world_T_file, content | row)))
             if file.name == _TEST_FILE:
                 tested.add(image)
         listed = content.get("test_filenames")
         tested |= {data_set / n for n in listed if isinstance(n, str)} if isinstance(listed, list) else set()
-    rows = rows_of(data_set, path, named)
-    split_of = stated_splits([image for _, image in rows], tested)
 
-    def read_row(number: int, source: str, image: Path) -> RawFrame:
-        world_T_file, row = row_of[source]
-        return RawFrame(
-            number=number,
-            source=source,
-            t_ns=seconds_to_ns(number),
-            vio_T_cam=world_T_file @ from_arkit(_pose(row)),
-            image=ImageFile(image),
-            intrinsics=_intrinsics(row, image),
-            split=split_of.get(image),
-        )
+    def read_row(image: Path, row: tuple[Array, dict[str, Any]]) -> tuple[Array, Intrinsics]:
+        world_T_file, stated = row
+        return world_T_file @ parsing.from_arkit(_pose(stated)), _intrinsics(stated, image)
 
-    read_frames, rejects = read_rows(rows, read_row)
+    own = rows_of(data_set, path, rows)
+    assumed = [note for note, key in _ASSUMED.items() if any(key not in stated for *_, (_, stated) in own)]
+    recording = read_reference(path, data_set, own, read_row, tested, [*notes_on_missing_folders(rows), *assumed])
     # Rows without an image are of no folder: they are listed once, with the first image's recording.
-    rejects += nameless if named and named[0] in rows else []
-    ours = is_metric_export(data_set)
-    return Recording(
-        "unknown",
-        Clock.NAME_ORDER,
-        path,
-        read_frames,
-        rejects,
-        pose_source=PoseSource.REFERENCE,
-        is_gravity_aligned=ours,
-        is_metric=ours,
-        notes=[*notes_on_missing_folders(named), *_assumptions([row_of[source][1] for source, _ in rows])],
-    )
+    is_first = bool(rows) and rows[0][0] in {source for source, *_ in own}
+    return replace(recording, rejects=[*recording.rejects, *nameless]) if is_first else recording
 
 
 def _image(data_set: Path, row: Any) -> Path:
     if not isinstance(row, dict):
-        raise BadRow("frame is no object")
+        raise parsing.BadRow("frame is no object")
     name = row.get("file_path")
     # As Windows parts names, and of a path on another machine the end that is here.
     parts = name.replace("\\", "/").split("/") if isinstance(name, str) else []
     ends = [end for n in range(len(parts)) if (end := "/".join(parts[n:])) and not leads_outside(end)]
     images = (_with_suffix(data_set / end) for end in ends)
-    return next((image for image in images if image.is_file()), None) or _with_suffix(inside(data_set, name))
+    return next((image for image in images if image.is_file()), None) or _with_suffix(parsing.inside(data_set, name))
 
 
 def _with_suffix(image: Path) -> Path:
@@ -158,10 +128,10 @@ def _with_suffix(image: Path) -> Path:
 def _pose(row: dict[str, Any]) -> Array:
     matrix = row.get("transform_matrix")
     count = 12 if isinstance(matrix, list) and len(matrix) == 3 else 16  # some leave the last row out
-    pose = row_major_pose(numbers(row, "transform_matrix", count))
+    pose = parsing.row_major_pose(parsing.numbers(row, "transform_matrix", count))
     # Beyond what a pose may be, a product with it would only warn; import rejects it by its own numbers.
     if not (np.abs(pose) < 1e100).all():
-        raise BadRow("transform_matrix has a value that isn't finite or is too large")
+        raise parsing.BadRow("transform_matrix has a value that isn't finite or is too large")
     return pose
 
 
@@ -170,10 +140,10 @@ def _undo(content: dict[str, Any], file: Path) -> Array:
     if content.get("applied_transform") is None:
         return np.eye(4)
     try:
-        applied = row_major_pose(numbers(content, "applied_transform", 12))
+        applied = parsing.row_major_pose(parsing.numbers(content, "applied_transform", 12))
         if not rigidity_error(applied) < _RIGID_TOLERANCE:
-            raise BadRow("applied_transform isn't rigid")
-    except BadRow as error:
+            raise parsing.BadRow("applied_transform isn't rigid")
+    except parsing.BadRow as error:
         raise UserError(
             "the world of transforms.json isn't known", where=file, found=error, expected="a rigid 3x4 matrix"
         ) from None
@@ -183,19 +153,19 @@ def _undo(content: dict[str, Any], file: Path) -> Array:
 def _intrinsics(row: dict[str, Any], image: Path) -> Intrinsics:
     model = row.get("camera_model", "OPENCV")
     if model not in _MODELS:
-        raise BadRow(f"camera_model {str(model)[:40]} is none of {', '.join(_MODELS)}")
-    stated = optional_size(row, "w", "h")
+        raise parsing.BadRow(f"camera_model {str(model)[:40]} is none of {', '.join(_MODELS)}")
+    stated = parsing.optional_size(row, ("w", "h"))
     is_complete = {"fl_x", "fl_y", "cx", "cy"} <= row.keys()
     width, height = size_of(image) if stated[0] is None and not is_complete else stated
     fx = _focal_length(row, "x", width)
     fy = _focal_length(row, "y", height) if {"fl_y", "camera_angle_y"} & row.keys() else fx
-    cx = number(row, "cx") if "cx" in row or width is None else width / 2
-    cy = number(row, "cy") if "cy" in row or height is None else height / 2
+    cx = parsing.number(row, "cx") if "cx" in row or width is None else width / 2
+    cy = parsing.number(row, "cy") if "cy" in row or height is None else height / 2
     if model == "OPENCV_FISHEYE":
         width, height = size_of(image) if width is None or height is None else (width, height)
-        return fisheye_intrinsics((fx, fy, cx, cy), width, height, _coefficients(row, _FISHEYE))
+        return parsing.fisheye_intrinsics((fx, fy, cx, cy), width, height, _coefficients(row, _FISHEYE))
     if row.get("k4"):
-        raise BadRow("distortion k4 has no place in OpenCV's model of k1, k2, p1, p2, k3")
+        raise parsing.BadRow("distortion k4 has no place in OpenCV's model of k1, k2, p1, p2, k3")
     distortion = _coefficients(row, _DISTORTION)
     known = distortion if model == "OPENCV" and any(distortion) else ()
     return Intrinsics(fx, fy, cx, cy, *stated, known)
@@ -203,26 +173,17 @@ def _intrinsics(row: dict[str, Any], image: Path) -> Intrinsics:
 
 def _focal_length(row: dict[str, Any], axis: str, size: int | None) -> float:
     if f"fl_{axis}" in row or size is None:
-        return number(row, f"fl_{axis}")
+        return parsing.number(row, f"fl_{axis}")
     if f"camera_angle_{axis}" not in row:
-        raise BadRow(f"fl_{axis} is missing, and so is camera_angle_{axis}")
-    angle = number(row, f"camera_angle_{axis}")
+        raise parsing.BadRow(f"fl_{axis} is missing, and so is camera_angle_{axis}")
+    angle = parsing.number(row, f"camera_angle_{axis}")
     if not 0 < angle < math.pi:
-        raise BadRow(f"camera_angle_{axis} {angle:g} is no angle of view in radians")
+        raise parsing.BadRow(f"camera_angle_{axis} {angle:g} is no angle of view in radians")
     return size / 2 / math.tan(angle / 2)
 
 
-def _assumptions(cameras: Sequence[dict[str, Any]]) -> list[str]:
-    """Notes on what a recording's cameras don't state."""
-    said = {
-        "the focal length is that of camera_angle_x and the images' width": "fl_x",
-        "the principal point isn't stated: the middle of the image is taken": "cx",
-    }
-    return [note for note, key in said.items() if any(key not in camera for camera in cameras)]
-
-
 def _coefficients(row: dict[str, Any], keys: Sequence[str]) -> tuple[float, ...]:
-    return tuple(number(row, key) if key in row else 0.0 for key in keys)
+    return tuple(parsing.number(row, key) if key in row else 0.0 for key in keys)
 
 
 FORMAT = Format(

@@ -13,14 +13,13 @@ EXIF is documented in CIPA DC-008. What matters:
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import PIL.ExifTags
 import PIL.Image
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording, Reject
 from groundwalk.capture_import.data_sets import GUESS_SD, guessed_intrinsics, images_alone
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import images_in
@@ -42,8 +41,7 @@ _MAX_ASPECT = 2.4  # of a camera's picture; panoramas are wider
 _SAME_ASPECT = 0.02
 
 
-@dataclass(frozen=True)
-class _Photo:
+class _Photo(NamedTuple):
     """A photo's file, size in pixels as stored, turns, focal length in pixels (None: not stated), camera and date."""
 
     file: Path
@@ -64,12 +62,17 @@ def detect(path: Path) -> bool:
 def read(path: Path, limits: Limits) -> Recording:
     """The photos in the order in which they were taken, where all are dated and of one camera, or of their names."""
     folder = _images_folder(path)
-    read, rejects = read_rows([(file.name, file) for file in images_in(folder)], lambda _, __, file: _photo(file))
+    read, rejects = list[_Photo](), list[Reject]()
+    for file in images_in(folder):
+        try:
+            read.append(_photo(file))
+        except BadRow as error:
+            rejects.append(Reject(file.name, None, str(error)))
     has_makers = sum(photo.has_maker for photo in read) >= len(read) / 2
     dated = all(photo.date for photo in read) and len({photo.camera.partition("|")[0] for photo in read}) == 1
     photos = sorted(read, key=lambda photo: photo.date) if dated else read
     rows = [(photo.file.name, photo) for photo in photos]
-    frames, bad = read_rows(rows, lambda index, source, photo: _row(index, source, photo, has_makers))
+    frames, bad = read_rows(rows, lambda place, photo: _row(place, photo, has_makers))
     return images_alone(Clock.NAME_ORDER, path, frames, [*rejects, *bad], _notes(path, folder, frames, dated))
 
 
@@ -91,7 +94,7 @@ def _photo(file: Path) -> _Photo:
         try:
             image_size(start)
         except BadImage as error:
-            raise BadRow(str(error)) from None
+            raise BadRow(f"image {error}") from None
         raise BadRow("image is broken") from None
     except (OSError, ValueError, SyntaxError, PIL.Image.DecompressionBombError) as error:
         raise BadRow(f"image can't be read: {error}") from None
@@ -113,7 +116,7 @@ def _photo(file: Path) -> _Photo:
     )
 
 
-def _row(index: int, source: str, photo: _Photo, has_makers: bool) -> RawFrame:
+def _row(place: int, photo: _Photo, has_makers: bool) -> RawFrame:
     width, height = photo.width, photo.height
     if max(width, height) > _MAX_ASPECT * min(width, height):
         raise BadRow(f"image of {width}x{height} is a panorama: no lens has such a projection")
@@ -129,14 +132,11 @@ def _row(index: int, source: str, photo: _Photo, has_makers: bool) -> RawFrame:
     if f is not None:
         camera = Intrinsics(f, f, width / 2, height / 2, width, height, focal_sd=_EXIF_SD)
     return RawFrame(
-        number=index,
-        source=source,
-        t_ns=seconds_to_ns(index),
-        vio_T_cam=None,
+        seconds_to_ns(place),
         image=ImageFile(photo.file),
         intrinsics=camera,
         quarters=quarters,
-        camera=photo.camera,
+        camera_name=photo.camera,
     )
 
 
@@ -171,7 +171,7 @@ def _text(value: Any) -> str:
 
 
 def _notes(path: Path, folder: Path, frames: Sequence[RawFrame], dated: bool) -> list[str]:
-    cameras = Counter(frame.camera for frame in frames)
+    cameras = Counter(frame.camera_name for frame in frames)
     stated = sum(frame.intrinsics is not None and frame.intrinsics.focal_sd < GUESS_SD for frame in frames)
     notes = [
         f"{len(frames)} photos without poses, by {len(cameras)} camera{'s' * (len(cameras) != 1)} (maker, lens, size), "

@@ -12,20 +12,10 @@ Documented at https://github.com/PolyCam/polyform (README, "Polycam's data forma
 
 from pathlib import Path
 
-from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import import parsing
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in
-from groundwalk.capture_import.parsing import (
-    MAX_NS,
-    BadRow,
-    from_arkit,
-    number,
-    optional_size,
-    parse_json,
-    read_rows,
-    read_text,
-    row_major_pose,
-)
 from groundwalk.store.choices import Clock
 
 
@@ -34,29 +24,23 @@ def read(path: Path, limits: Limits) -> Recording:
     cameras = path / "keyframes" / "cameras"
     files = sorted((p for p in cameras.glob("*.json") if p.stem.isdecimal()), key=lambda p: int(p.stem))
     image_of = by_stem(images_in(path / "keyframes" / "images"))
-    rows = [(f"cameras/{file.name}", (file, image_of.get(file.stem))) for file in files]
-    frames, rejects = read_rows(rows, _read_row)
+
+    def read_row(_: int, file: Path) -> RawFrame:
+        camera, image = parsing.parse_json(parsing.read_text(file)), image_of.get(file.stem)
+        if int(file.stem) > parsing.MAX_NS // 1000:
+            raise parsing.BadRow(f"name {file.stem} is no time")
+        entries = [parsing.number(camera, f"t_{i}{j}") for i in range(3) for j in range(4)]
+        depth = (path / "keyframes" / kind / f"{file.stem}.png" for kind in ("depth", "confidence"))
+        return RawFrame(
+            int(file.stem) * 1000,
+            parsing.from_arkit(parsing.row_major_pose(entries)),
+            ImageFile(image) if image else None,
+            parsing.intrinsics(camera),
+            depth=DepthFile.if_there(*depth),
+        )
+
+    frames, rejects = parsing.read_rows([(f"cameras/{file.name}", file) for file in files], read_row)
     return Recording("iOS, Polycam", Clock.BOOT, path, frames, rejects)
-
-
-def _read_row(index: int, source: str, row: tuple[Path, Path | None]) -> RawFrame:
-    file, image = row
-    camera = parse_json(read_text(file))
-    if int(file.stem) > MAX_NS // 1000:
-        raise BadRow(f"name {file.stem} is no time")
-    entries = [number(camera, f"t_{i}{j}") for i in range(3) for j in range(4)]
-    return RawFrame(
-        number=index,
-        source=source,
-        t_ns=int(file.stem) * 1000,
-        vio_T_cam=from_arkit(row_major_pose(entries)),
-        image=ImageFile(image) if image else None,
-        intrinsics=Intrinsics.of(
-            (number(camera, key) for key in ("fx", "fy", "cx", "cy")),
-            *optional_size(camera, "width", "height"),
-        ),
-        depth=DepthFile.if_there(*(file.parents[1] / kind / f"{file.stem}.png" for kind in ("depth", "confidence"))),
-    )
 
 
 FORMAT = Format(

@@ -15,22 +15,11 @@ https://github.com/marek-simonik/record3d. What matters:
 from pathlib import Path
 from typing import Any
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in
 from groundwalk.capture_import.media.float_depth import missing_decoder
-from groundwalk.capture_import.parsing import (
-    BadRow,
-    from_arkit,
-    json_of,
-    number,
-    numbers,
-    quaternion_pose,
-    read_rows,
-    seconds_to_ns,
-    to_number,
-    whole,
-)
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 
@@ -39,28 +28,27 @@ def read(path: Path, limits: Limits) -> Recording:
     """Read the poses and join them to images by number."""
     metadata = path / "metadata" if (path / "metadata").is_file() else path / "metadata.json"
     images = path / "rgbd" if (path / "rgbd").is_dir() else path / "rgb"
-    content = json_of(metadata, limits)
+    content = parsing.json_of(metadata, limits)
     poses = content.get("poses")
     if not isinstance(poses, list):
         raise UserError("Record3D's metadata has no poses", where=metadata, expected="poses: a list")
     times = content.get("frameTimestamps")
-    coefficients = content.get("perFrameIntrinsicCoeffs")
     files = {int(stem): image for stem, image in by_stem(images_in(images)).items() if stem.isdecimal()}
-    depths, missing = _depths(path, images)
+    depths = [p for p in (*images.glob("*.depth"), *(path / "depth").glob("*.exr")) if p.stem.isdecimal()]
+    missing = missing_decoder(depths[0]) if depths else None
+    depth_of = {} if missing else {int(p.stem): DepthFile.if_there(p, p.with_suffix(".conf")) for p in depths}
 
-    def read_row(index: int, source: str, pose: Any) -> RawFrame:
-        qx, qy, qz, qw, *t = numbers({source: pose}, source, 7)
+    def read_row(index: int, pose: Any) -> RawFrame:
+        qx, qy, qz, qw, *t = parsing.to_numbers(pose, f"pose {index}", 7)
         return RawFrame(
-            number=index,
-            source=source,
-            t_ns=_time(content, times, index),
-            vio_T_cam=from_arkit(quaternion_pose(t, [qx, qy, qz, qw])),
-            image=ImageFile(files[index]) if index in files else None,
-            intrinsics=_intrinsics(content, coefficients, index),
-            depth=depths.get(index),
+            _time(content, times, index),
+            parsing.from_arkit(parsing.quaternion_pose(t, [qx, qy, qz, qw])),
+            ImageFile(files[index]) if index in files else None,
+            _intrinsics(content, index),
+            depth=depth_of.get(index),
         )
 
-    frames, rejects = read_rows([(f"pose {i}", pose) for i, pose in enumerate(poses)], read_row)
+    frames, rejects = parsing.read_rows([(f"pose {i}", pose) for i, pose in enumerate(poses)], read_row)
     notes = [f"its depth isn't read: {missing}"] if missing else []
     if len(files) != len(poses):
         notes.append(f"{len(files)} images and {len(poses)} poses: joined by number")
@@ -68,32 +56,23 @@ def read(path: Path, limits: Limits) -> Recording:
     return Recording("iOS, Record3D", clock, path, frames, rejects, notes=notes)
 
 
-def _depths(path: Path, images: Path) -> tuple[dict[int, DepthFile], str | None]:
-    """Depth by the frame's number; none, and why, where a decoder is missing."""
-    files = [p for p in (*images.glob("*.depth"), *(path / "depth").glob("*.exr")) if p.stem.isdecimal()]
-    if files and (missing := missing_decoder(files[0])):
-        return {}, missing
-    depths = {int(p.stem): DepthFile.if_there(p, p.with_suffix(".conf")) for p in files}
-    return {index: depth for index, depth in depths.items() if depth is not None}, None
-
-
 def _time(content: dict[str, Any], times: object, index: int) -> int:
     if not isinstance(times, list):
-        fps = number(content, "fps")
+        fps = parsing.number(content, "fps")
         if not 0 < fps < 1000:
-            raise BadRow(f"fps {fps} is no frame rate")
-        return seconds_to_ns(index / fps)
+            raise parsing.BadRow(f"fps {fps} is no frame rate")
+        return parsing.seconds_to_ns(index / fps)
     if index >= len(times):
-        raise BadRow("frame has no time")
-    return seconds_to_ns(to_number(times[index], "frameTimestamps"))
+        raise parsing.BadRow("frame has no time")
+    return parsing.seconds_to_ns(parsing.to_number(times[index], "frameTimestamps"))
 
 
-def _intrinsics(content: dict[str, Any], coefficients: object, index: int) -> Intrinsics:
-    width, height = whole(content, "w"), whole(content, "h")
-    if isinstance(coefficients, list) and index < len(coefficients):
-        fx, fy, cx, cy = numbers({"row": coefficients[index]}, "row", 4)
-    else:
-        fx, _, _, _, fy, _, cx, cy, _ = numbers(content, "K", 9)
+def _intrinsics(content: dict[str, Any], index: int) -> Intrinsics:
+    width, height = parsing.whole(content, "w"), parsing.whole(content, "h")
+    per_frame = content.get("perFrameIntrinsicCoeffs")
+    if isinstance(per_frame, list) and index < len(per_frame):
+        return Intrinsics.of(parsing.to_numbers(per_frame[index], "row", 4), width, height)
+    fx, _, _, _, fy, _, cx, cy, _ = parsing.numbers(content, "K", 9)
     return Intrinsics(fx, fy, cx, cy, width, height)
 
 

@@ -13,20 +13,10 @@ matters:
 
 from pathlib import Path
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in, in_order
-from groundwalk.capture_import.parsing import (
-    BadRow,
-    lines_of,
-    quaternion_pose,
-    read_rows,
-    read_text,
-    seconds_to_ns,
-    split_numbers,
-    to_pixels,
-    yaml_numbers,
-)
 from groundwalk.store.choices import Clock, PoseSource
 
 _POSES = "_camera_poses.txt"
@@ -38,41 +28,32 @@ def read(path: Path, limits: Limits) -> Recording:
     name = poses.name.removesuffix(_POSES)
     image_of = by_stem(images_in(path / f"{name}_rgb"))
 
-    def read_row(_: int, source: str, line: str) -> RawFrame:
-        time_s, x, y, z, qx, qy, qz, qw, number = split_numbers(line, 9)
+    def read_row(_: int, line: str) -> RawFrame:
+        time_s, x, y, z, qx, qy, qz, qw, number = parsing.split_numbers(line, 9)
         image = image_of.get(f"{number:.0f}")
         if image is None:
-            raise BadRow(f"{name}_rgb has no image {number:.0f}")
+            raise parsing.BadRow(f"{name}_rgb has no image {number:.0f}")
         return RawFrame(
+            parsing.seconds_to_ns(time_s),
+            parsing.quaternion_pose([x, y, z], [qx, qy, qz, qw]),
+            ImageFile(image),
+            _camera(path / f"{name}_calib" / f"{image.stem}.yaml"),
             number=int(number),
-            source=source,
-            t_ns=seconds_to_ns(time_s),
-            vio_T_cam=quaternion_pose([x, y, z], [qx, qy, qz, qw]),
-            image=ImageFile(image),
-            intrinsics=_camera(path / f"{name}_calib" / f"{image.stem}.yaml"),
         )
 
-    frames, rejects = read_rows(lines_of(poses, limits), read_row)
-    return Recording(
-        "RTAB-Map",
-        Clock.UNIX,
-        path,
-        frames,
-        rejects,
-        pose_source=PoseSource.REFERENCE,
-        is_gravity_aligned=False,
-    )
+    frames, rejects = parsing.read_rows(parsing.lines_of(poses, limits), read_row)
+    reference = PoseSource.REFERENCE
+    return Recording("RTAB-Map", Clock.UNIX, path, frames, rejects, reference, is_gravity_aligned=False)
 
 
 def _camera(file: Path) -> Intrinsics:
-    text = read_text(file)
-
-    fx, _, cx, _, fy, cy, *_ = yaml_numbers(text, "camera_matrix", 9)
-    (width,), (height,) = (yaml_numbers(text, f"image_{side}", 1) for side in ("width", "height"))
-    distortion = yaml_numbers(text, "distortion_coefficients")
+    text = parsing.read_text(file)
+    fx, _, cx, _, fy, cy, *_ = parsing.yaml_numbers(text, "camera_matrix", 9)
+    width, height = (parsing.to_pixels(*parsing.yaml_numbers(text, f"image_{side}", 1)) for side in ("width", "height"))
+    distortion = parsing.yaml_numbers(text, "distortion_coefficients")
     if len(distortion) < 4:
-        raise BadRow(f"{file.name} has {len(distortion)} distortion_coefficients, not 4 or more")
-    return Intrinsics(fx, fy, cx, cy, to_pixels(width), to_pixels(height), tuple(distortion) if any(distortion) else ())
+        raise parsing.BadRow(f"{file.name} has {len(distortion)} distortion_coefficients, not 4 or more")
+    return Intrinsics(fx, fy, cx, cy, width, height, tuple(distortion) if any(distortion) else ())
 
 
 FORMAT = Format(

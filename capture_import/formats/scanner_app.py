@@ -17,21 +17,10 @@ Latitude and longitude may be in `info.json` and the frames; they're never read.
 import re
 from pathlib import Path
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording, Reject
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in
-from groundwalk.capture_import.parsing import (
-    BadRow,
-    from_arkit,
-    number,
-    numbers,
-    optional_number,
-    parse_json,
-    read_rows,
-    read_text,
-    row_major_pose,
-    seconds_to_ns,
-)
 from groundwalk.store.choices import Clock
 
 _FRAME = re.compile(r"frame_(\d{1,9})\.json")
@@ -42,8 +31,22 @@ def read(path: Path, limits: Limits) -> Recording:
     numbered = sorted((int(m[1]), p) for p in path.iterdir() if (m := _FRAME.fullmatch(p.name)))
     files = dict(reversed(numbered))
     image_of = by_stem(images_in(path))
-    rows = [(file.name, (file, index, image_of.get(file.stem))) for index, file in sorted(files.items())]
-    frames, rejects = read_rows(rows, _read_frame)
+
+    def read_frame(_: int, numbered_file: tuple[int, Path]) -> RawFrame:
+        number, file = numbered_file
+        row, digits = parsing.parse_json(parsing.read_text(file)), file.stem.removeprefix("frame_")
+        image = image_of.get(file.stem)
+        return RawFrame(
+            parsing.seconds_to_ns(parsing.number(row, "time")),
+            parsing.from_arkit(parsing.row_major_pose(parsing.numbers(row, "cameraPoseARFrame", 16))),
+            ImageFile(image) if image else None,
+            _intrinsics(row),
+            exposure_s=parsing.optional_number(row, "exposureDuration"),
+            depth=DepthFile.if_there(path / f"depth_{digits}.png", path / f"conf_{digits}.png"),
+            number=number,
+        )
+
+    frames, rejects = parsing.read_rows([(file.name, (i, file)) for i, file in sorted(files.items())], read_frame)
     rejects += [
         Reject(file.name, None, f"{files[index].name} has the same frame number")
         for index, file in numbered
@@ -52,27 +55,11 @@ def read(path: Path, limits: Limits) -> Recording:
     return Recording(_device(path), Clock.BOOT, path, frames, rejects)
 
 
-def _read_frame(_: int, source: str, row_file: tuple[Path, int, Path | None]) -> RawFrame:
-    path, index, image = row_file
-    row = parse_json(read_text(path))
-    digits = path.stem.removeprefix("frame_")
-    return RawFrame(
-        number=index,
-        source=source,
-        t_ns=seconds_to_ns(number(row, "time")),
-        vio_T_cam=from_arkit(row_major_pose(numbers(row, "cameraPoseARFrame", 16))),
-        image=ImageFile(image) if image else None,
-        intrinsics=_intrinsics(row),
-        exposure_s=optional_number(row, "exposureDuration"),
-        depth=DepthFile.if_there(path.with_name(f"depth_{digits}.png"), path.with_name(f"conf_{digits}.png")),
-    )
-
-
 def _intrinsics(row: dict[str, object]) -> Intrinsics:
-    fx, _, cx, _, fy, cy, *_ = numbers(row, "intrinsics", 9)
+    fx, _, cx, _, fy, cy, *_ = parsing.numbers(row, "intrinsics", 9)
     width = height = None
     if "projectionMatrix" in row:
-        projection = numbers(row, "projectionMatrix", 16)
+        projection = parsing.numbers(row, "projectionMatrix", 16)
         if min(projection[0], projection[5]) > 1e-6 and max(fx, fy) < 1e9:
             width, height = _pixels(2 * fx / projection[0]), _pixels(2 * fy / projection[5])
     return Intrinsics(fx, fy, cx, cy, width, height)
@@ -84,10 +71,9 @@ def _pixels(value: float) -> int | None:
 
 def _device(path: Path) -> str:
     try:
-        info = parse_json(read_text(path / "info.json"))
-    except BadRow:
+        version = parsing.parse_json(parsing.read_text(path / "info.json")).get("appVersionString")
+    except parsing.BadRow:
         return "unknown"
-    version = info.get("appVersionString")
     return f"iOS, 3D Scanner App {version}" if isinstance(version, str) else "iOS"
 
 

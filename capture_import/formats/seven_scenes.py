@@ -15,17 +15,10 @@ Documented at https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-s
 import re
 from pathlib import Path
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in
-from groundwalk.capture_import.parsing import (
-    BadRow,
-    read_rows,
-    read_text,
-    row_major_pose,
-    seconds_to_ns,
-    split_numbers,
-)
 from groundwalk.store.choices import Clock, PoseSource, SessionSplit
 from groundwalk.store.simulated import EXPORT_NOTE
 
@@ -36,10 +29,21 @@ _CAMERA = Intrinsics(525.0, 525.0, 320.0, 240.0, 640, 480)
 
 def read(path: Path, limits: Limits) -> Recording:
     """Read the poses and join the colour images by number."""
-    files = {int(m[1]): p for p in path.iterdir() if (m := _POSE.fullmatch(p.name))}
+    files = sorted((int(m[1]), p) for p in path.iterdir() if (m := _POSE.fullmatch(p.name)))
     image_of = by_stem(images_in(path))
-    rows = [(files[i].name, (i, files[i], image_of.get(f"frame-{i:06d}.color"))) for i in sorted(files)]
-    frames, rejects = read_rows(rows, _read_row)
+
+    def read_row(_: int, numbered_file: tuple[int, Path]) -> RawFrame:
+        number, file = numbered_file
+        image = image_of.get(f"frame-{number:06d}.color")
+        return RawFrame(
+            parsing.seconds_to_ns(number / _FRAMES_A_SECOND),
+            parsing.row_major_pose(parsing.split_numbers(parsing.read_text(file), 16)),
+            ImageFile(image) if image else None,
+            _camera(path / f"frame-{number:06d}.intrinsics.txt"),
+            number=number,
+        )
+
+    frames, rejects = parsing.read_rows([(file.name, (number, file)) for number, file in files], read_row)
     split, notes = _split(path), []
     if split is None:
         notes.append(
@@ -60,32 +64,19 @@ def read(path: Path, limits: Limits) -> Recording:
     )
 
 
-def _read_row(_: int, source: str, row: tuple[int, Path, Path | None]) -> RawFrame:
-    index, file, image = row
-    return RawFrame(
-        number=index,
-        source=source,
-        t_ns=seconds_to_ns(index / _FRAMES_A_SECOND),
-        vio_T_cam=row_major_pose(split_numbers(read_text(file), 16)),
-        image=ImageFile(image) if image else None,
-        intrinsics=_camera(file.with_name(f"frame-{index:06d}.intrinsics.txt")),
-    )
-
-
 def _camera(file: Path) -> Intrinsics:
     if not file.exists():
         return _CAMERA
-    matrix = split_numbers(read_text(file), 9)
-    return Intrinsics(matrix[0], matrix[4], matrix[2], matrix[5])
+    fx, _, cx, _, fy, cy, *_ = parsing.split_numbers(parsing.read_text(file), 9)
+    return Intrinsics(fx, fy, cx, cy)
 
 
 def _split(path: Path) -> SessionSplit | None:
     number = re.search(r"(\d+)$", path.name)
-    splits = (("TrainSplit.txt", SessionSplit.TRAIN), ("TestSplit.txt", SessionSplit.TEST))
-    for name, split in splits:
+    for name, split in (("TrainSplit.txt", SessionSplit.TRAIN), ("TestSplit.txt", SessionSplit.TEST)):
         try:
-            listed = re.findall(r"sequence(\d+)", read_text(path.parent / name))
-        except BadRow:
+            listed = re.findall(r"sequence(\d+)", parsing.read_text(path.parent / name))
+        except parsing.BadRow:
             continue
         if number and int(number[1]) in map(int, listed):
             return split

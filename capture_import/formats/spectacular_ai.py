@@ -11,59 +11,40 @@ Documented at https://spectacularai.github.io/docs/sdk and by files of the SDK's
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, Recording, Reject, VideoFrame
+from groundwalk.capture_import import parsing
+from groundwalk.capture_import.capture import Limits, RawFrame, Recording, Reject, VideoFrame
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.joining import join_by_time
 from groundwalk.capture_import.media.video import require_row_per_frame
-from groundwalk.capture_import.parsing import (
-    YUP_T_ZUP,
-    BadRow,
-    json_of,
-    lines_of,
-    number,
-    numbers,
-    parse_json,
-    quaternion_pose,
-    read_rows,
-    row_major_pose,
-    seconds_to_ns,
-)
 from groundwalk.geometry.poses import Array, inverse, rigidity_error
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, Tracking
 
-_STATES = {
-    "TRACKING": Tracking.NORMAL,
-    "INIT": Tracking.LIMITED,
-    "LOST_TRACKING": Tracking.LOST,
-}
+_STATES = {"TRACKING": Tracking.NORMAL, "INIT": Tracking.LIMITED, "LOST_TRACKING": Tracking.LOST}
+_CAMERA = ("focalLengthX", "focalLengthY", "principalPointX", "principalPointY")
 
 
 def read(path: Path, limits: Limits) -> Recording:
     """Read the poses, and the video's frames where they can be used."""
     calibration = path / "calibration.json"
-    device_T_cam = _device_T_cam(json_of(calibration, limits), calibration) if calibration.is_file() else None
+    device_T_cam = _device_T_cam(calibration, limits) if calibration.is_file() else None
 
-    def read_pose(index: int, source: str, line: str) -> RawFrame:
-        row = parse_json(line)
-        position, orientation = row.get("position"), row.get("orientation")
-        xyz, xyzw = [number(position, a) for a in "xyz"], [number(orientation, a) for a in "xyzw"]
+    def read_pose(_: int, line: str) -> RawFrame:
+        row = parsing.parse_json(line)
+        xyz = [parsing.number(row.get("position"), axis) for axis in "xyz"]
+        xyzw = [parsing.number(row.get("orientation"), axis) for axis in "xyzw"]
         if not np.isfinite(xyz).all():
-            raise BadRow("position has a value that isn't finite")
-        pose = YUP_T_ZUP @ quaternion_pose(xyz, xyzw)
+            raise parsing.BadRow("position has a value that isn't finite")
+        pose = parsing.YUP_T_ZUP @ parsing.quaternion_pose(xyz, xyzw)
         return RawFrame(
-            number=index,
-            source=source,
-            t_ns=seconds_to_ns(number(row, "time")),
-            vio_T_cam=pose if device_T_cam is None else pose @ device_T_cam,
+            parsing.seconds_to_ns(parsing.number(row, "time")),
+            pose if device_T_cam is None else pose @ device_T_cam,
             tracking=_STATES.get(str(row.get("status")), Tracking.UNKNOWN),
         )
 
-    poses, rejects = read_rows(lines_of(path / "output.jsonl", limits), read_pose)
+    poses, rejects = parsing.read_rows(parsing.lines_of(path / "output.jsonl", limits), read_pose)
     notes: list[str] = []
     images: list[RawFrame] = []
     if device_T_cam is None:
@@ -71,44 +52,37 @@ def read(path: Path, limits: Limits) -> Recording:
     elif (path / "data.mp4").is_file() and (path / "data.jsonl").is_file():
         images, more = _read_images(path, limits)
         rejects += more
-    return Recording("Spectacular AI", Clock.BOOT, path, join_by_time(poses, images), rejects, notes=notes)
+    return Recording("Spectacular AI", Clock.BOOT, path, parsing.join_by_time(poses, images), rejects, notes=notes)
 
 
-def _device_T_cam(calibration: dict[str, Any], path: Path) -> Array:
-    cameras = calibration.get("cameras")
+def _device_T_cam(calibration: Path, limits: Limits) -> Array:
+    cameras = parsing.json_of(calibration, limits).get("cameras")
     try:
         if not isinstance(cameras, list) or not cameras:
-            raise BadRow("cameras is missing")
-        cam_T_device = row_major_pose(numbers(cameras[0], "imuToCamera", 16))
+            raise parsing.BadRow("cameras is missing")
+        cam_T_device = parsing.row_major_pose(parsing.numbers(cameras[0], "imuToCamera", 16))
         if not rigidity_error(cam_T_device) < 1e-2:
-            raise BadRow("imuToCamera isn't rigid")
+            raise parsing.BadRow("imuToCamera isn't rigid")
         return inverse(cam_T_device)
-    except BadRow as error:
-        raise UserError("the calibration can't be read", where=path, found=error) from None
+    except parsing.BadRow as error:
+        raise UserError("the calibration can't be read", where=calibration, found=error) from None
 
 
 def _read_images(path: Path, limits: Limits) -> tuple[list[RawFrame], list[Reject]]:
-    lines = lines_of(path / "data.jsonl", limits, lambda line: '"frames"' in line)
+    lines = parsing.lines_of(path / "data.jsonl", limits, lambda line: '"frames"' in line)
     video = path / "data.mp4"
     require_row_per_frame(video, "data.jsonl", len(lines), limits)
 
-    def read_image(index: int, source: str, line: str) -> RawFrame:
-        content = parse_json(line)
+    def read_image(index: int, line: str) -> RawFrame:
+        content = parsing.parse_json(line)
         frames = content.get("frames")
         if not isinstance(frames, list) or not frames or not isinstance(frames[0], dict):
-            raise BadRow("frames is empty")
-        camera = frames[0].get("cameraParameters")
-        keys = ("focalLengthX", "focalLengthY", "principalPointX", "principalPointY")
-        return RawFrame(
-            number=index,
-            source=source,
-            t_ns=seconds_to_ns(number(content, "time")),
-            vio_T_cam=None,
-            image=VideoFrame(video, index),
-            intrinsics=Intrinsics.of(number(camera, key) for key in keys),
-        )
+            raise parsing.BadRow("frames is empty")
+        camera = parsing.intrinsics(frames[0].get("cameraParameters"), _CAMERA)
+        time_ns = parsing.seconds_to_ns(parsing.number(content, "time"))
+        return RawFrame(time_ns, image=VideoFrame(video, index), intrinsics=camera)
 
-    return read_rows(lines, read_image)
+    return parsing.read_rows(lines, read_image)
 
 
 FORMAT = Format(

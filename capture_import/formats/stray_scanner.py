@@ -15,10 +15,10 @@ Documented at https://github.com/StrayRobots/scanner/blob/main/docs/format.md. W
 import csv
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import (
     Accelerations,
     DepthFile,
@@ -30,17 +30,6 @@ from groundwalk.capture_import.capture import (
 )
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.media.video import frame_times
-from groundwalk.capture_import.parsing import (
-    BadRow,
-    lines_of,
-    number,
-    quaternion_pose,
-    read_rows,
-    read_text,
-    seconds_to_ns,
-    split_numbers,
-    whole,
-)
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 
@@ -53,30 +42,29 @@ _CAM_R_PHONE = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 def read(path: Path, limits: Limits) -> Recording:
     """Read the rows and join them to the video's frames by number."""
     video = path / "rgb.mp4"
-    header, *rows = lines_of(path / "odometry.csv", limits) or [("odometry.csv", "")]
+    header, *rows = parsing.lines_of(path / "odometry.csv", limits) or [("odometry.csv", "")]
     names = [name.strip() for name in header[1].split(",")]
     if missing := [name for name in _COLUMNS if name not in names]:
         raise UserError(
             "odometry.csv lacks columns", where=path, expected=", ".join(_COLUMNS), found=f"no {', '.join(missing)}"
         )
-    per_frame = all(name in names for name in _PER_FRAME)
-    shared = None if per_frame else _camera_matrix(path)
+    shared = None if set(_PER_FRAME) <= set(names) else _camera_matrix(path / "camera_matrix.csv")
 
-    def read_row(_: int, source: str, line: str) -> RawFrame:
-        row: dict[str, Any] = dict(zip(names, next(csv.reader([line], skipinitialspace=True)), strict=False))
-        index = whole(row, "frame")
+    def read_row(_: int, line: str) -> RawFrame:
+        row = dict(zip(names, next(csv.reader([line], skipinitialspace=True)), strict=False))
+        index = parsing.whole(row, "frame")
+        xyz, xyzw = [parsing.number(row, a) for a in "xyz"], [parsing.number(row, f"q{a}") for a in "xyzw"]
         return RawFrame(
-            number=index,
-            source=source,
-            t_ns=seconds_to_ns(number(row, "timestamp"), "timestamp"),
-            vio_T_cam=quaternion_pose([number(row, a) for a in "xyz"], [number(row, f"q{a}") for a in "xyzw"]),
-            image=VideoFrame(video, index),
-            intrinsics=shared or Intrinsics.of(number(row, name) for name in _PER_FRAME),
+            parsing.seconds_to_ns(parsing.number(row, "timestamp"), "timestamp"),
+            parsing.quaternion_pose(xyz, xyzw),
+            VideoFrame(video, index),
+            shared or parsing.intrinsics(row, _PER_FRAME),
             depth=DepthFile.if_there(*(path / kind / f"{index:06d}.png" for kind in ("depth", "confidence"))),
+            number=index,
         )
 
-    frames, rejects = read_rows(rows, read_row)
-    notes = [] if per_frame else ["one camera matrix, the last frame's, stands for all frames"]
+    frames, rejects = parsing.read_rows(rows, read_row)
+    notes = ["one camera matrix, the last frame's, stands for all frames"] if shared else []
     if frames and (note := _check_join(frames, len(rows), frame_times(video, limits), path)):
         notes.append(note)
     accelerations = _accelerations(path / "imu.csv", limits) if (path / "imu.csv").is_file() else None
@@ -86,19 +74,19 @@ def read(path: Path, limits: Limits) -> Recording:
 def _accelerations(path: Path, limits: Limits) -> Accelerations:
     """What can be read of the log: one of its rows more or less says nothing."""
     rows = []
-    for _, line in lines_of(path, limits):
-        with suppress(BadRow):
-            t_s, *acceleration = split_numbers(line, separator=",")[:4]
-            rows.append((seconds_to_ns(t_s), *acceleration))
+    for _, line in parsing.lines_of(path, limits):
+        with suppress(parsing.BadRow):
+            t_s, *acceleration = parsing.split_numbers(line, separator=",")[:4]
+            rows.append((parsing.seconds_to_ns(t_s), *acceleration))
     table = np.array([row for row in rows if len(row) == 4], float).reshape(-1, 4)
     return Accelerations(table[:, 0].astype(np.int64), -table[:, 1:] @ _CAM_R_PHONE.T)
 
 
-def _camera_matrix(path: Path) -> Intrinsics:
-    file = path / "camera_matrix.csv"
+def _camera_matrix(file: Path) -> Intrinsics:
     try:
-        fx, _, cx, _, fy, cy, *_ = split_numbers(read_text(file).strip().replace("\n", ","), separator=",")
-    except (BadRow, ValueError) as error:
+        text = parsing.read_text(file).strip().replace("\n", ",")
+        fx, _, cx, _, fy, cy, *_ = parsing.split_numbers(text, separator=",")
+    except ValueError as error:
         raise UserError("the camera matrix can't be read", where=file, expected="3 rows of 3", found=error) from None
     return Intrinsics(fx, fy, cx, cy)
 

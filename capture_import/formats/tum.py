@@ -13,48 +13,34 @@ Documented at https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats. Wh
 
 from pathlib import Path
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.data_sets import guessed_intrinsics, size_of
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.joining import join_by_time
-from groundwalk.capture_import.parsing import (
-    BadRow,
-    inside,
-    lines_of,
-    quaternion_pose,
-    read_rows,
-    read_text,
-    seconds_to_ns,
-    split_numbers,
-    to_number,
-)
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, PoseSource
 
 
 def read(path: Path, limits: Limits) -> Recording:
     """Read both lists; poses are interpolated where an image lies between two rows."""
-    poses, rejects = read_rows(lines_of(path / "groundtruth.txt", limits), read_pose)
+    poses, rejects = parsing.read_rows(parsing.lines_of(path / "groundtruth.txt", limits), _read_pose)
     camera = _camera(path / "camera.txt")
 
-    def read_image(number: int, source: str, line: str) -> RawFrame:
+    def read_image(place: int, line: str) -> RawFrame:
         time, _, name = line.strip().partition(" ")
-        image = inside(path, name.strip())
+        image = parsing.inside(path, name.strip())
         return RawFrame(
-            number=number,
-            source=source,
-            t_ns=seconds_to_ns(to_number(time, "time")),
-            vio_T_cam=None,
+            parsing.seconds_to_ns(parsing.to_number(time, "time")),
             image=ImageFile(image),
             intrinsics=camera or guessed_intrinsics(*size_of(image)),
         )
 
-    images, more = read_rows(lines_of(path / "rgb.txt", limits), read_image)
+    images, more = parsing.read_rows(parsing.lines_of(path / "rgb.txt", limits), read_image)
     return Recording(
         "unknown",
         Clock.UNIX,
         path,
-        join_by_time(poses, images),
+        parsing.join_by_time(poses, images),
         [*rejects, *more],
         pose_source=PoseSource.REFERENCE,
         is_gravity_aligned=False,
@@ -62,20 +48,20 @@ def read(path: Path, limits: Limits) -> Recording:
     )
 
 
-def read_pose(number: int, source: str, line: str) -> RawFrame:
+def _read_pose(_: int, line: str) -> RawFrame:
     """A row of TUM's trajectory format; further numbers in it count for nothing."""
-    values = split_numbers(line)
+    values = parsing.split_numbers(line)
     if len(values) < 8:
-        raise BadRow(f"row has {len(values)} numbers, not 8")
-    return RawFrame(number, source, seconds_to_ns(values[0]), quaternion_pose(values[1:4], values[4:8]))
+        raise parsing.BadRow(f"row has {len(values)} numbers, not 8")
+    return RawFrame(parsing.seconds_to_ns(values[0]), parsing.quaternion_pose(values[1:4], values[4:8]))
 
 
 def _camera(file: Path) -> Intrinsics | None:
     if not file.is_file():
         return None
     try:
-        fx, fy, cx, cy, *distortion = split_numbers(read_text(file))
-    except (BadRow, ValueError) as error:
+        fx, fy, cx, cy, *distortion = parsing.split_numbers(parsing.read_text(file))
+    except ValueError as error:
         raise UserError("the camera can't be read", where=file, expected="fx fy cx cy", found=error) from None
     return Intrinsics(fx, fy, cx, cy, distortion=tuple(distortion))
 

@@ -20,13 +20,12 @@ def read(path: Path, limits: Limits) -> Recording:
     width, height = (stored.height, stored.width) if stored.quarters % 2 else (stored.width, stored.height)
     frames = [
         RawFrame(
-            number=index,
-            source=f"{path.name} frame {index}",
-            t_ns=int(t_ns),
-            vio_T_cam=None,
+            int(t_ns),
             image=VideoFrame(path, index),
             intrinsics=guessed_intrinsics(width, height, GUESS_SD),
             quarters=stored.quarters,
+            number=index,
+            source=f"{path.name} frame {index}",
         )
         for index, t_ns in enumerate(times)
     ]

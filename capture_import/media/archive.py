@@ -50,30 +50,36 @@ def unpack(archive: Path, target: Path, limits: Limits) -> None:
             members = content.infolist()
             if len(members) > limits.max_archive_files:
                 raise _refused(archive, f"more than {limits.max_archive_files} files")
-            _require_space(archive, partial, sum(member.file_size for member in members))
+            needed, free = (
+                sum(member.file_size for member in members) + _MIN_FREE_BYTES,
+                shutil.disk_usage(partial).free,
+            )
+            if needed > free:
+                raise UserError(
+                    f"too little free space to unpack an archive into {partial}",
+                    where=archive,
+                    expected=f"{needed / 2**20:,.0f} MiB",
+                    found=f"{free / 2**20:,.0f} MiB free",
+                    do="free some space",
+                )
             remaining = _bytes_left(archive, target, limits)
             for member in members:
                 place = _place(archive, partial, member)
-                if not member.is_dir():
-                    remaining -= _extract(archive, content, member, place, remaining)
+                if member.is_dir():
+                    continue
+                place.parent.mkdir(parents=True, exist_ok=True)
+                with content.open(member) as source, place.open("xb") as file:
+                    while chunk := source.read(_CHUNK):
+                        remaining -= len(chunk)
+                        if remaining < 0:
+                            raise _refused(archive, f"more bytes than the limit, in {member.filename!r}")
+                        file.write(chunk)
     except _BROKEN as error:
         raise as_user_error(error) or UserError(
             "an archive can't be unpacked", where=archive, found=error, do="export it again"
         ) from None
     sync_tree(partial)
     partial.rename(target)
-
-
-def _require_space(archive: Path, folder: Path, needed: int) -> None:
-    free = shutil.disk_usage(folder).free
-    if needed + _MIN_FREE_BYTES > free:
-        raise UserError(
-            f"too little free space to unpack an archive into {folder}",
-            where=archive,
-            expected=f"{(needed + _MIN_FREE_BYTES) / 2**20:,.0f} MiB",
-            found=f"{free / 2**20:,.0f} MiB free",
-            do="free some space",
-        )
 
 
 def _bytes_left(archive: Path, target: Path, limits: Limits) -> int:
@@ -94,19 +100,6 @@ def _place(archive: Path, folder: Path, member: zipfile.ZipInfo) -> Path:
     if member.flag_bits & 1:
         raise _refused(archive, "an encrypted member")
     return folder.joinpath(*name.parts)
-
-
-def _extract(archive: Path, content: zipfile.ZipFile, member: zipfile.ZipInfo, place: Path, max_bytes: int) -> int:
-    """Write one member; returns its bytes."""
-    place.parent.mkdir(parents=True, exist_ok=True)
-    size = 0
-    with content.open(member) as source, place.open("xb") as target:
-        while chunk := source.read(_CHUNK):
-            size += len(chunk)
-            if size > max_bytes:
-                raise _refused(archive, f"more bytes than the limit, in {member.filename!r}")
-            target.write(chunk)
-    return size
 
 
 def _refused(archive: Path, actual: str) -> UserError:

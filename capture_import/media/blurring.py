@@ -7,9 +7,8 @@ and plates of European form; docs/reference/capture-formats.md says how many the
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import cv2.data
@@ -38,8 +37,7 @@ _MARGIN = 0.2
 _CELLS = 5
 
 
-@dataclass(frozen=True)
-class Region:
+class Region(NamedTuple):
     """A rectangle of an image, in pixels."""
 
     kind: Kind
@@ -86,11 +84,8 @@ class CascadeDetector:
 
     def _cascades(self) -> list[tuple[Kind, Any, bool]]:
         if not hasattr(self._of_thread, "cascades"):
-            self._of_thread.cascades = [
-                (k, cv2.CascadeClassifier(str(path)), mirrored) for k, path, mirrored in self._paths
-            ]
-        cascades: list[tuple[Kind, Any, bool]] = self._of_thread.cascades
-        return cascades
+            self._of_thread.cascades = [(k, cv2.CascadeClassifier(str(path)), m) for k, path, m in self._paths]
+        return list(self._of_thread.cascades)
 
 
 def blur_people(rgb: NDArray[np.uint8], detect: Detector, quarters: int) -> tuple[NDArray[np.uint8], list[Region]]:
@@ -105,17 +100,12 @@ def blur_people(rgb: NDArray[np.uint8], detect: Detector, quarters: int) -> tupl
         return rgb, []
     erased = upright.copy()
     for region in regions:
-        _erase(erased, region)
+        # A few averaged colours of the region and its surroundings are left.
+        margin_x, margin_y = round(region.width * _MARGIN), round(region.height * _MARGIN)
+        left, top = max(0, region.x - margin_x), max(0, region.y - margin_y)
+        part = erased[top : region.y + region.height + margin_y, left : region.x + region.width + margin_x]
+        height, width = part.shape[:2]
+        if height and width:
+            cells = cv2.resize(part, (min(_CELLS, width), min(_CELLS, height)), interpolation=cv2.INTER_AREA)
+            part[:] = cv2.resize(cells, (width, height), interpolation=cv2.INTER_LINEAR)
     return turned_pixels(erased, -quarters), regions
-
-
-def _erase(rgb: NDArray[np.uint8], region: Region) -> None:
-    """Leave a few averaged colours of a region and its surroundings; in place."""
-    margin_x, margin_y = round(region.width * _MARGIN), round(region.height * _MARGIN)
-    left, top = max(0, region.x - margin_x), max(0, region.y - margin_y)
-    part = rgb[top : region.y + region.height + margin_y, left : region.x + region.width + margin_x]
-    height, width = part.shape[:2]
-    if height == 0 or width == 0:
-        return
-    cells = cv2.resize(part, (min(_CELLS, width), min(_CELLS, height)), interpolation=cv2.INTER_AREA)
-    part[:] = cv2.resize(cells, (width, height), interpolation=cv2.INTER_LINEAR)

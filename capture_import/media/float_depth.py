@@ -52,15 +52,11 @@ def decode_lzfse(data: bytes, dtype: np.dtype[Any], size: tuple[int, int]) -> ND
 
 
 def decode_exr(data: bytes) -> NDArray[Any]:
-    """Pixels (H, W), float32, of an OpenEXR image's only channel, or of its red one.
-
-    Raises BadImage for data that can't be decoded.
-    """
+    """Pixels (H, W), float32, of an OpenEXR image's only channel, or of its red one; BadImage where it can't be
+    decoded."""
     if not data.startswith(_EXR_START):
         raise BadImage("is no OpenEXR file")
     pixels = decoded(data, cv2.IMREAD_UNCHANGED)
-    if pixels is None:
-        raise BadImage("is broken: it can't be decoded")
     if pixels.dtype != np.float32:
         raise BadImage(f"has {8 * pixels.itemsize} bits, not 32")
     return np.asarray(pixels if pixels.ndim == 2 else pixels[..., _RED])

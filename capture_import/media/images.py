@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import io
+import math
 import struct
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ _PNG_METADATA = (b"eXIf", b"tEXt", b"zTXt", b"iTXt", b"tIME")
 
 
 class BadImage(ValueError):
-    """An image that can't be used; the message says why."""
+    """An image that can't be used; the message says what it is or has: "is empty"."""
 
 
 def check_image(data: bytes, max_megapixels: float) -> ImageCheck:
@@ -41,9 +42,7 @@ def check_image(data: bytes, max_megapixels: float) -> ImageCheck:
 
     Raises BadImage for one that is empty, no JPEG, PNG or HEIC, larger than the limit, truncated or corrupt.
     """
-    width, height = image_size(data)
-    if width * height > max_megapixels * 1e6:
-        raise BadImage(f"image of {width}x{height} is larger than {max_megapixels:g} megapixels")
+    width, height = image_size(data, max_megapixels)
     gray = decode_gray(data, WORKING_LONG_SIDE)
     whole, content = hashlib.sha256(data).hexdigest(), without_metadata(data)
     return measured(gray, width, height, whole, whole if content == data else hashlib.sha256(content).hexdigest())
@@ -54,22 +53,25 @@ def measured(gray: Gray, width: int, height: int, sha256: str = "", content_sha2
     return ImageCheck(width, height, sharpness(gray), float(cv2.meanStdDev(gray)[1][0, 0]), sha256, content_sha256)
 
 
-def image_size(data: bytes) -> tuple[int, int]:
-    """(width, height) from the header of a JPEG or PNG, or of a whole HEIC; BadImage where there is none."""
+def image_size(data: bytes, max_megapixels: float = math.inf) -> tuple[int, int]:
+    """(width, height) from the header of a JPEG or PNG, or of a whole HEIC; BadImage where there is none, or it's
+    larger than the limit."""
     if not data:
-        raise BadImage("image is empty")
+        raise BadImage("is empty")
     if data.startswith(_JPEG_SIGNATURE):
         try:
             height, width, *_ = simplejpeg.decode_jpeg_header(data)
         except ValueError as error:
-            raise BadImage(f"image is broken: {error}") from None
-        return int(width), int(height)
-    if data.startswith(_PNG_SIGNATURE) and len(data) >= 33:
+            raise BadImage(f"is broken: {error}") from None
+    elif data.startswith(_PNG_SIGNATURE) and len(data) >= 33:
         width, height = struct.unpack(">II", data[16:24])
-        return int(width), int(height)
-    if is_heic(data):
-        return _opened_heic(data).size
-    raise BadImage("image is neither JPEG nor PNG")
+    elif is_heic(data):
+        width, height = _opened_heic(data).size
+    else:
+        raise BadImage("is neither JPEG nor PNG")
+    if width * height > max_megapixels * 1e6:
+        raise BadImage(f"of {width}x{height} is larger than {max_megapixels:g} megapixels")
+    return int(width), int(height)
 
 
 def is_heic(start: bytes) -> bool:
@@ -81,12 +83,12 @@ def _opened_heic(data: bytes, colours: str = "") -> PIL.Image.Image:
     """A HEIC image, turned as it says, and decoded where colours are named."""
     if "HEIF" not in PIL.Image.OPEN:
         how = "pip install 'groundwalk[heic]', or convert it (macOS: sips -s format jpeg; else heif-convert)"
-        raise BadImage(f"image is HEIC, which needs a decoder: {how}")
+        raise BadImage(f"is HEIC, which needs a decoder: {how}")
     try:
         image = PIL.Image.open(io.BytesIO(data), formats=("HEIF",))
         return image.convert(colours) if colours else image
     except (OSError, ValueError, SyntaxError, EOFError, RuntimeError, PIL.Image.DecompressionBombError):
-        raise BadImage("image is broken: the HEIC can't be decoded") from None
+        raise BadImage("is broken: the HEIC can't be decoded") from None
 
 
 def exif_orientation(path: Path) -> int:
@@ -102,13 +104,32 @@ def exif_orientation(path: Path) -> int:
 
 def decode_rgb(data: bytes, long_side: int) -> NDArray[np.uint8]:
     """An image (H, W, 3), scaled down to the long side where it's larger."""
+    return _decode(data, "RGB", long_side)
+
+
+def decode_gray(data: bytes, long_side: int) -> Gray:
+    """An image (H, W), scaled down to the long side where it's larger."""
+    return _decode(data, "GRAY", long_side)
+
+
+def _decode(data: bytes, colours: str, long_side: int) -> Any:
     width, height = image_size(data)
+    is_gray = colours == "GRAY"
     if data.startswith(_JPEG_SIGNATURE):
-        image = _decode_jpeg(data, "RGB", width, height, long_side)
+        # The decoder scales while it decodes, which is faster; it still reads every byte, and strict mode reports what
+        # an ordinary decoder paints grey.
+        scale = min(1.0, long_side / max(width, height))
+        least = {"min_height": int(height * scale), "min_width": int(width * scale)}
+        try:
+            image = simplejpeg.decode_jpeg(data, colours, **least, min_factor=1, strict=True)
+        except ValueError as error:
+            raise BadImage(f"is broken: {error}") from None
+        image = image[:, :, 0] if is_gray else image
     elif is_heic(data):
-        image = np.asarray(_opened_heic(data, "RGB"))
+        image = np.asarray(_opened_heic(data, "L" if is_gray else "RGB"))
     else:
-        image = cv2.cvtColor(_decode_png(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+        image = decoded(data, cv2.IMREAD_GRAYSCALE if is_gray else cv2.IMREAD_COLOR)
+        image = image if is_gray else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
     return shrunk(image, long_side)
 
 
@@ -118,34 +139,24 @@ def without_metadata(data: bytes) -> bytes:
     Data that isn't laid out as expected comes back as it is.
     """
     if data.startswith(_JPEG_SIGNATURE):
-        return _without_jpeg_metadata(data)
-    if data.startswith(_PNG_SIGNATURE):
-        return _without_png_metadata(data)
+        kept, at = [data[:2]], 2
+        while at + 4 <= len(data) and data[at] == 0xFF:
+            marker, end = data[at + 1], at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+            if marker == _START_OF_SCAN:
+                return b"".join([*kept, data[at:]])
+            is_personal = marker == _COMMENT or (0xE1 <= marker <= 0xEF and marker != _ADOBE)
+            if not is_personal or data[at + 4 : end].startswith(b"ICC_PROFILE"):
+                kept.append(data[at:end])
+            at = end
+    elif data.startswith(_PNG_SIGNATURE):
+        kept, at = [data[:8]], 8
+        while at + 12 <= len(data):
+            end = at + 12 + int.from_bytes(data[at : at + 4], "big")
+            if data[at + 4 : at + 8] not in _PNG_METADATA:
+                kept.append(data[at:end])
+            at = end
+        return b"".join(kept)
     return data
-
-
-def _without_jpeg_metadata(data: bytes) -> bytes:
-    kept, at = [data[:2]], 2
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        marker, size = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
-        if marker == _START_OF_SCAN:
-            return b"".join([*kept, data[at:]])
-        segment = data[at : at + 2 + size]
-        is_personal = marker == _COMMENT or (0xE1 <= marker <= 0xEF and marker != _ADOBE)
-        if not is_personal or segment[4:].startswith(b"ICC_PROFILE"):
-            kept.append(segment)
-        at += 2 + size
-    return data
-
-
-def _without_png_metadata(data: bytes) -> bytes:
-    kept, at = [data[:8]], 8
-    while at + 12 <= len(data):
-        size, name = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
-        if name not in _PNG_METADATA:
-            kept.append(data[at : at + 12 + size])
-        at += 12 + size
-    return b"".join(kept)
 
 
 def encode_jpeg(rgb: NDArray[np.uint8], quality: int = 95) -> bytes:
@@ -161,70 +172,33 @@ def sharpness(gray: Gray) -> float:
     along one. (F. Crete et al., "The blur effect: perception and estimation with a new no-reference perceptual blur
     metric", Human Vision and Electronic Imaging XII, 2007.)
     """
-    image = shrunk(gray, WORKING_LONG_SIDE)
-    return min(_sharpness_along(image, axis) for axis in (0, 1))
+    image, before = shrunk(gray, WORKING_LONG_SIDE), _REBLUR // 2
+    sharp = []
+    for along in (image, np.ascontiguousarray(image.T)):
+        # Where a pixel, its neighbour and the means around both are inside.
+        count = len(along) - _REBLUR
+        if count < 1:
+            return 0.0
+        parts = {start: along[start : start + count] for start in (0, before, before + 1, _REBLUR)}
+        differences = cv2.absdiff(parts[before + 1], parts[before])
+        # Two neighbouring means differ by the pixel that comes in and the one that goes out.
+        blurred = cv2.absdiff(parts[_REBLUR], parts[0])
+        # Unsigned: a difference that grew counts as none lost.
+        lost = cv2.addWeighted(differences, _REBLUR, blurred, -1, 0, dtype=cv2.CV_16U)
+        total = _REBLUR * cv2.sumElems(differences)[0]
+        sharp.append(float(cv2.sumElems(lost)[0] / total) if total > 0 else 0.0)
+    return min(sharp)
 
 
-def _sharpness_along(image: Gray, axis: int) -> float:
-    # Where a pixel, its neighbour and the means around both are inside.
-    count, before = image.shape[axis] - _REBLUR, _REBLUR // 2
-    if count < 1:
-        return 0.0
-
-    def part(start: int) -> Gray:
-        return image[start : start + count] if axis == 0 else image[:, start : start + count]
-
-    differences = cv2.absdiff(part(before + 1), part(before))
-    # Two neighbouring means differ by the pixel that comes in and the one that goes out.
-    blurred = cv2.absdiff(part(_REBLUR), part(0))
-    # Unsigned: a difference that grew counts as none lost.
-    lost = cv2.addWeighted(differences, _REBLUR, blurred, -1, 0, dtype=cv2.CV_16U)
-    total = _REBLUR * cv2.sumElems(differences)[0]
-    return float(cv2.sumElems(lost)[0] / total) if total > 0 else 0.0
-
-
-def decode_gray(data: bytes, long_side: int) -> Gray:
-    """An image (H, W), scaled down to the long side where it's larger."""
-    width, height = image_size(data)
-    if data.startswith(_JPEG_SIGNATURE):
-        image = _decode_jpeg(data, "GRAY", width, height, long_side)[:, :, 0]
-    elif is_heic(data):
-        image = np.asarray(_opened_heic(data, "L"))
-    else:
-        image = _decode_png(data, cv2.IMREAD_GRAYSCALE)
-    return shrunk(image, long_side)
-
-
-def _decode_jpeg(data: bytes, colours: str, width: int, height: int, long_side: int) -> Any:
-    # The decoder scales while it decodes, which is faster; it still reads every byte, and strict mode reports what
-    # an ordinary decoder paints grey.
-    scale = min(1.0, long_side / max(width, height))
+def decoded(data: bytes, flags: int) -> NDArray[Any]:
+    """Pixels by OpenCV; BadImage where it can't decode them."""
     try:
-        return simplejpeg.decode_jpeg(
-            data,
-            colours,
-            min_height=int(height * scale),
-            min_width=int(width * scale),
-            min_factor=1,
-            strict=True,
-        )
-    except ValueError as error:
-        raise BadImage(f"image is broken: {error}") from None
-
-
-def decoded(data: bytes, flags: int) -> Any:
-    """Pixels by OpenCV; None where it can't decode them."""
-    try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error:
-        return None
-
-
-def _decode_png(data: bytes, flags: int) -> Any:
-    image = decoded(data, flags)
-    if image is None:
-        raise BadImage("image is broken: the PNG can't be decoded")
-    return image
+        pixels = None
+    if pixels is None:
+        raise BadImage("is broken: it can't be decoded")
+    return pixels
 
 
 def shrunk(image: Any, long_side: int) -> Any:

@@ -1,9 +1,11 @@
 """Reading the images of a recording, files or frames of a video: sound or not, size and sharpness, and in grey."""
 
+import math
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import av
 import numpy as np
@@ -22,6 +24,8 @@ from groundwalk.capture_import.media.upright import turned_pixels
 from groundwalk.capture_import.media.video import decode, gray_pixels
 from groundwalk.store.parallel import in_parallel
 
+Frame = TypeVar("Frame", bound=RawFrame)
+
 # A sound JPEG or PNG has fewer bytes than this a pixel, and a header with metadata.
 _BYTES_A_PIXEL = 4
 _HEADER_BYTES = 1 << 20
@@ -37,34 +41,51 @@ class ImageReader:
     def check(self, frames: Sequence[RawFrame]) -> Iterator[ImageCheck | str]:
         """For each frame, in order: what was measured of its image, or why it can't be used. Files are decoded on all
         cores and a video in one go, so that memory holds a few images at once."""
-        if any(isinstance(frame.image, VideoFrame) for frame in frames):
+        if video_of(frames):
             return self._check_video(frames)
-        files = [(frame.image.path, frame.quarters) for frame in frames if isinstance(frame.image, ImageFile)]
-        return in_parallel(lambda file: self._check_file(*file), files)
+        return in_parallel(self._check_file, frames)
 
-    def gray(self, frames: Sequence[RawFrame], long_side: int) -> Iterator[tuple[RawFrame, Gray]]:
+    def gray(self, frames: Sequence[Frame], long_side: int) -> Iterator[tuple[Frame, Gray]]:
         """Frames that have passed the check, in order, each with its image (H, W) scaled down to the long side. A
         damaged video may not give a frame again."""
-        of_video = {frame.image.index: frame for frame in frames if isinstance(frame.image, VideoFrame)}
-        if of_video:
-            path = next(frame.image.path for frame in frames if isinstance(frame.image, VideoFrame))
-            for index, decoded in decode(path, set(of_video), self.limits):
-                frame = of_video[index]
-                yield frame, turned_pixels(shrunk(_working_gray(decoded), long_side), frame.quarters)
-            return
-        files = [(frame, frame.image.path) for frame in frames if isinstance(frame.image, ImageFile)]
-        yield from in_parallel(
-            lambda file: (file[0], turned_pixels(self._gray(file[1], long_side), file[0].quarters)), files
-        )
 
-    def _gray(self, path: Path, long_side: int) -> Gray:
-        return np.asarray(shrunk(decode_gray(self._bytes(path), WORKING_LONG_SIDE), long_side), np.uint8)
+        def of_file(frame: Frame) -> Gray:
+            assert isinstance(frame.image, ImageFile)  # a recording has files or a video, never both
+            return decode_gray(self.read(frame.image.path), WORKING_LONG_SIDE)
 
-    def _check_file(self, path: Path, quarters: int) -> ImageCheck | str:
+        def turned(frame: Frame, working: Gray) -> tuple[Frame, Gray]:
+            return frame, turned_pixels(shrunk(working, long_side), frame.quarters)
+
+        if video := video_of(frames):
+            of_index = {frame.image.index: frame for frame in frames if isinstance(frame.image, VideoFrame)}
+            for index, decoded in decode(video, set(of_index), self.limits):
+                yield turned(of_index[index], _working_gray(decoded))
+        else:
+            yield from in_parallel(lambda frame: turned(frame, of_file(frame)), frames)
+
+    def read(self, path: Path, max_bytes: float = math.inf) -> bytes:
+        """A file's bytes; BadImage for one that is no ordinary file, leads out of `roots`, or is too large."""
+        max_bytes = min(max_bytes, self.limits.max_megapixels * 1e6 * _BYTES_A_PIXEL + _HEADER_BYTES)
         try:
-            return _turned(check_image(self._bytes(path), self.limits.max_megapixels), quarters)
+            resolved = path.resolve()
+            if not any(resolved.is_relative_to(root) for root in self.roots):
+                raise BadImage("is a link that leads out of the capture folder")
+            status = resolved.stat()
+            if not stat.S_ISREG(status.st_mode):
+                raise BadImage("is no ordinary file")
+            if status.st_size > max_bytes:
+                raise BadImage(f"file of {status.st_size} bytes is too large")
+            return resolved.read_bytes()
+        except (OSError, RuntimeError) as error:  # RuntimeError: a loop of links
+            inside = next((path.relative_to(root) for root in self.roots if path.is_relative_to(root)), path)
+            raise BadImage(f"{inside} can't be read: {getattr(error, 'strerror', None) or error}") from None
+
+    def _check_file(self, frame: RawFrame) -> ImageCheck | str:
+        assert isinstance(frame.image, ImageFile)
+        try:
+            return _turned(check_image(self.read(frame.image.path), self.limits.max_megapixels), frame.quarters)
         except BadImage as error:
-            return str(error)
+            return f"image {error}"
 
     def _check_video(self, frames: Sequence[RawFrame]) -> Iterator[ImageCheck | str]:
         refs = [frame.image for frame in frames if isinstance(frame.image, VideoFrame)]
@@ -81,21 +102,10 @@ class ImageReader:
             else:
                 yield "video frame is missing or out of order" if at > ref.index else "video ends before this frame"
 
-    def _bytes(self, path: Path) -> bytes:
-        """An image file's bytes; BadImage for one that is no ordinary file, leads out of `roots`, or is too large."""
-        try:
-            resolved = path.resolve()
-            if not any(resolved.is_relative_to(root) for root in self.roots):
-                raise BadImage("image is a link that leads out of the capture folder")
-            status = resolved.stat()
-            if not stat.S_ISREG(status.st_mode):
-                raise BadImage("image is no ordinary file")
-            if status.st_size > self.limits.max_megapixels * 1e6 * _BYTES_A_PIXEL + _HEADER_BYTES:
-                raise BadImage(f"image file of {status.st_size} bytes is too large")
-            return resolved.read_bytes()
-        except (OSError, RuntimeError) as error:  # RuntimeError: a loop of links
-            inside = next((path.relative_to(root) for root in self.roots if path.is_relative_to(root)), path)
-            raise BadImage(f"image {inside} can't be read: {getattr(error, 'strerror', None) or error}") from None
+
+def video_of(frames: Iterable[RawFrame]) -> Path | None:
+    """The video that frames are of; None where their images are files."""
+    return next((frame.image.path for frame in frames if isinstance(frame.image, VideoFrame)), None)
 
 
 def _turned(check: ImageCheck, quarters: int) -> ImageCheck:

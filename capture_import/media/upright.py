@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import Image, Intrinsics, RawFrame, Session, poses_of
+from groundwalk.capture_import.capture import Image, Intrinsics, Session, poses_of
 from groundwalk.geometry.gravity import gravity_in_camera
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.shutter import usual_first_row
@@ -22,7 +22,7 @@ def quarters_to_upright(session: Session) -> int:
     """
     if not session.recording.is_gravity_aligned or not session.images:
         return 0
-    gravity = gravity_in_camera(poses_of(image.frame for image in session.images)).sum(axis=0)
+    gravity = gravity_in_camera(poses_of(session.images)).sum(axis=0)
     downs = [(np.linalg.matrix_power(_CLOCKWISE, k)[:3, :3] @ gravity)[1] for k in range(4)]
     return int(np.argmax(downs))
 
@@ -31,15 +31,30 @@ def turned(session: Session, quarters: int) -> Session:
     """The session with camera axes, poses and intrinsics turned by quarters clockwise."""
     if quarters == 0:
         return session
-    frames = {id(frame): _turned_pose(frame, quarters) for frame in session.frames}
-    images = []
-    for image in session.images:
-        camera, width, height = image.camera, image.check.width, image.check.height
-        for _ in range(quarters):
-            camera, width, height = _turned_camera(camera, height), height, width
-        frame = replace(_turned_pose(image.frame, quarters), intrinsics=camera)
-        images.append(Image(frame, replace(image.check, width=width, height=height)))
-    return replace(session, frames=list(frames.values()), images=images)
+    turn = inverse(np.linalg.matrix_power(_CLOCKWISE, quarters))
+    frames = []
+    for frame in session.frames:
+        assert frame.vio_T_cam is not None  # up is known of sessions with poses alone
+        frame = replace(frame, vio_T_cam=frame.vio_T_cam @ turn)
+        if isinstance(frame, Image):
+            for _ in range(quarters):
+                camera, check = frame.camera, frame.check
+                k1, k2, p1, p2, *rest = (*camera.distortion, *[0.0] * (4 - len(camera.distortion)))
+                # x becomes y, and y becomes the height less y.
+                turned_camera = Intrinsics(
+                    fx=camera.fy,
+                    fy=camera.fx,
+                    cx=check.height - camera.cy,
+                    cy=camera.cx,
+                    width=camera.height,
+                    height=camera.width,
+                    distortion=(k1, k2, p2, -p1, *rest) if camera.distortion else (),
+                    focal_sd=camera.focal_sd,
+                )
+                turned_check = replace(check, width=check.height, height=check.width)
+                frame = replace(frame, intrinsics=turned_camera, check=turned_check)
+        frames.append(frame)
+    return replace(session, frames=frames)
 
 
 def first_row(width: int, height: int, stated: str | None, quarters: int) -> ImageSide:
@@ -56,24 +71,3 @@ def first_row(width: int, height: int, stated: str | None, quarters: int) -> Ima
 def turned_pixels(image: NDArray[np.uint8], quarters: int) -> NDArray[np.uint8]:
     """An image (H, W) or (H, W, 3) turned by quarters clockwise."""
     return np.ascontiguousarray(np.rot90(image, -quarters))
-
-
-def _turned_pose(frame: RawFrame, quarters: int) -> RawFrame:
-    assert frame.vio_T_cam is not None  # up is known of sessions with poses alone
-    return replace(frame, vio_T_cam=frame.vio_T_cam @ inverse(np.linalg.matrix_power(_CLOCKWISE, quarters)))
-
-
-def _turned_camera(camera: Intrinsics, height: int) -> Intrinsics:
-    """Intrinsics after a quarter turn clockwise of an image of this height: x becomes y, y becomes height - x."""
-    k1, k2, p1, p2, *rest = (*camera.distortion, 0.0, 0.0, 0.0, 0.0)[: max(4, len(camera.distortion))]
-    distortion = (k1, k2, p2, -p1, *rest) if camera.distortion else ()
-    return replace(
-        camera,
-        fx=camera.fy,
-        fy=camera.fx,
-        cx=height - camera.cy,
-        cy=camera.cx,
-        width=camera.height,
-        height=camera.width,
-        distortion=distortion,
-    )

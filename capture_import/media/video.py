@@ -1,6 +1,7 @@
 """Video as a source of images: times without decoding, frames one by one in the order of display."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import chain
@@ -27,13 +28,9 @@ def frame_times(path: Path, limits: Limits) -> NDArray[np.int64]:
 
     UserError where the file is no video, holds no frame, or its frames are larger than the limit.
     """
-    try:
-        with av.open(path) as container:
-            stream = _stream(container, path, limits)
-            ticks_ns = _base(stream) * 1_000_000_000
-            times = _ticks(container, stream)
-    except (av.FFmpegError, OSError) as error:
-        raise _unreadable(path, error) from None
+    with _opened(path, limits) as (container, stream):
+        ticks_ns = _base(stream) * 1_000_000_000
+        times = _ticks(container, stream)
     if not times:
         raise UserError("a video holds no frame", where=path)
     return np.array([round(t * ticks_ns) for t in times], dtype=np.int64)
@@ -57,11 +54,8 @@ def is_video(path: Path) -> bool:
 
 def stored_image(path: Path, limits: Limits) -> StoredImage:
     """How a video's images are stored, by its first frame; UserError where it has none."""
-    try:
-        with av.open(path) as container:
-            frame = next(container.decode(_stream(container, path, limits)), None)
-    except (av.FFmpegError, OSError) as error:
-        raise _unreadable(path, error) from None
+    with _opened(path, limits) as (container, stream):
+        frame = next(container.decode(stream), None)
     if frame is None:
         raise UserError("a video holds no frame", where=path)
     # Displays turn anticlockwise by the angle of the container's matrix.
@@ -89,16 +83,18 @@ def decode(path: Path, indices: set[int], limits: Limits) -> Iterator[tuple[int,
     caller notices which are missing. Long parts without such a frame are skipped.
     """
     try:
-        with av.open(path) as container:
-            stream = _stream(container, path, limits)
+        with _opened(path, limits) as (container, stream):
             second = round(1 / _base(stream))
             ticks = _ticks(container, stream)
         index_of: dict[int | None, int] = {tick: index for index, tick in enumerate(ticks)}
-        with av.open(path) as container:
-            stream = _stream(container, path, limits)
+        wanted = np.array([[i, ticks[i]] for i in sorted(indices) if 0 <= i < len(ticks)], dtype=np.int64).reshape(
+            -1, 2
+        )
+        # Cut at gaps so long that seeking is cheaper than decoding.
+        runs = np.split(wanted[:, 0], np.flatnonzero(np.diff(wanted[:, 1]) > _MIN_GAP_S * second) + 1)
+        with _opened(path, limits) as (container, stream):
             stream.thread_type = "AUTO"
-            for run in _runs(np.array([[i, ticks[i]] for i in sorted(indices) if 0 <= i < len(ticks)]), second):
-                first, last = run[[0, -1], 0]
+            for first, last in ((int(run[0]), int(run[-1])) for run in runs if len(run)):
                 # Containers seek by the time of decoding: the key frame may be shown after the first frame.
                 for back in (0, second):
                     if ticks[first] - second > ticks[0]:
@@ -112,7 +108,7 @@ def decode(path: Path, indices: set[int], limits: Limits) -> Iterator[tuple[int,
                         yield index, frame
                     if index >= last:
                         break
-    except (av.FFmpegError, OSError):
+    except UserError:
         return
 
 
@@ -135,32 +131,27 @@ def _ticks(container: av.container.InputContainer, stream: av.VideoStream) -> li
     return sorted(p.pts for p in container.demux(stream) if p.size and p.pts is not None and not p.is_discard)
 
 
-def _runs(index_tick_N2: NDArray[np.int64], second: int) -> list[NDArray[np.int64]]:
-    """Frames (N, 2) cut at gaps so long that seeking is cheaper than decoding."""
-    if not len(index_tick_N2):
-        return []
-    return np.split(index_tick_N2, np.flatnonzero(np.diff(index_tick_N2[:, 1]) > _MIN_GAP_S * second) + 1)
-
-
 def _base(stream: av.VideoStream) -> Fraction:
     return stream.time_base or Fraction(1, 1)
 
 
-def _stream(container: av.container.InputContainer, path: Path, limits: Limits) -> av.VideoStream:
-    if not container.streams.video:
-        raise UserError("a file holds no video", where=path, found="no video stream")
-    stream = container.streams.video[0]
-    if stream.codec_context is None:
-        raise UserError("a video's codec is unknown", where=path, do="export the recording as H.264 or HEVC")
-    if stream.width * stream.height > limits.max_megapixels * 1e6:
-        raise UserError(
-            f"a video's frames are larger than {limits.max_megapixels:g} megapixels",
-            where=path,
-            found=f"{stream.width}x{stream.height}",
-        )
-    return stream
-
-
-def _unreadable(path: Path, error: Exception) -> UserError:
-    reason = error.strerror if isinstance(error, OSError) else str(error)
-    return UserError("a video can't be read", where=path, found=reason, do="export the recording again")
+@contextmanager
+def _opened(path: Path, limits: Limits) -> Iterator[tuple[av.container.InputContainer, av.VideoStream]]:
+    """A video's container and its first stream of images; UserError where it can't be read, or is too large."""
+    try:
+        with av.open(path) as container:
+            if not container.streams.video:
+                raise UserError("a file holds no video", where=path, found="no video stream")
+            stream = container.streams.video[0]
+            if stream.codec_context is None:
+                raise UserError("a video's codec is unknown", where=path, do="export the recording as H.264 or HEVC")
+            if stream.width * stream.height > limits.max_megapixels * 1e6:
+                raise UserError(
+                    f"a video's frames are larger than {limits.max_megapixels:g} megapixels",
+                    where=path,
+                    found=f"{stream.width}x{stream.height}",
+                )
+            yield container, stream
+    except (av.FFmpegError, OSError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise UserError("a video can't be read", where=path, found=reason, do="export the recording again") from None

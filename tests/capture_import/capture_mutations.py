@@ -11,26 +11,9 @@ import numpy as np
 Random = np.random.Generator
 
 _HOSTILE = (
-    b"NaN",
-    b"Infinity",
-    b"-1e400",
-    b"1e308",
-    b"null",
-    b"true",
-    b'"x"',
-    b"[]",
-    b"{}",
-    b"9" * 400,
-    b"-0",
-    b"",
-    b"\xff",
-    b"1e-320",
-    b"9223372036854775808",
-    b"[[1]]",
-    b'"../../../etc/passwd"',
-    b'"\\u0000"',
-    b"[" * 20000,
-)
+    b"NaN", b"Infinity", b"-1e400", b"1e308", b"null", b"true", b'"x"', b"[]", b"{}", b"9" * 400, b"-0", b"", b"\xff",
+    b"1e-320", b"9223372036854775808", b"[[1]]", b'"../../../etc/passwd"', b'"\\u0000"', b"[" * 20000,
+)  # fmt: skip
 
 
 def _flip_bytes(path: Path, rng: Random) -> None:
@@ -58,30 +41,25 @@ def _junk(path: Path, rng: Random) -> None:
     path.write_bytes(rng.bytes(int(rng.integers(1, 5000))))
 
 
-def _hostile_value(path: Path, rng: Random) -> None:
+def _replace(path: Path, rng: Random, pattern: bytes, new: bytes) -> None:
     data = path.read_bytes()
-    numbers = list(re.finditer(rb"-?\d+\.?\d*(e-?\d+)?", data))
-    if numbers:
-        at = numbers[rng.integers(len(numbers))]
-        path.write_bytes(data[: at.start()] + _HOSTILE[rng.integers(len(_HOSTILE))] + data[at.end() :])
+    if found := list(re.finditer(pattern, data)):
+        at = found[rng.integers(len(found))]
+        path.write_bytes(data[: at.start()] + new + data[at.end() :])
+
+
+def _hostile_value(path: Path, rng: Random) -> None:
+    _replace(path, rng, rb"-?\d+\.?\d*(e-?\d+)?", _HOSTILE[rng.integers(len(_HOSTILE))])
 
 
 def _rename_key(path: Path, rng: Random) -> None:
-    data = path.read_bytes()
-    keys = list(re.finditer(rb'"(\w+)":', data))
-    if keys:
-        at = keys[rng.integers(len(keys))]
-        path.write_bytes(data[: at.start()] + b'"other":' + data[at.end() :])
+    _replace(path, rng, rb'"(\w+)":', b'"other":')
 
 
 def _shuffle_lines(path: Path, rng: Random) -> None:
     lines = path.read_bytes().split(b"\n")
-    path.write_bytes(b"\n".join(lines[i] for i in rng.permutation(len(lines))))
-
-
-def _repeat_lines(path: Path, rng: Random) -> None:
-    lines = path.read_bytes().split(b"\n")
-    path.write_bytes(b"\n".join(lines[i] for i in rng.integers(0, len(lines), len(lines))))
+    order = rng.permutation(len(lines)) if rng.random() < 0.5 else rng.integers(0, len(lines), len(lines))
+    path.write_bytes(b"\n".join(lines[i] for i in order))
 
 
 def _link_out(path: Path, _: Random) -> None:
@@ -116,7 +94,7 @@ def _odd_name(path: Path, _: Random) -> None:
 
 MUTATIONS: tuple[Callable[[Path, Random], None], ...] = (
     _flip_bytes, _truncate, _empty, _delete, _junk, _hostile_value, _hostile_value, _hostile_value, _rename_key,
-    _shuffle_lines, _repeat_lines, _link_out, _link_loop, _folder, _pipe, _other_file, _odd_name,
+    _shuffle_lines, _shuffle_lines, _link_out, _link_loop, _folder, _pipe, _other_file, _odd_name,
 )  # fmt: skip
 
 

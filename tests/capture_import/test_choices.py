@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from groundwalk.capture_import.capture import Image, ImageCheck, RawFrame, Recording, Session
-from groundwalk.capture_import.sampling import sample_between, sample_motion, sample_rate
+from groundwalk.capture_import.capture import Image, ImageCheck, Recording, Session
+from groundwalk.capture_import.sampling import motion_steps, sample_between, sample_motion, sample_rate
 from groundwalk.capture_import.selection import density_for, select
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.splits import LEAK_S, leak_seconds, refuse_lists, split_frames
-from groundwalk.geometry.poses import make_pose, relative, rotation_angle
+from groundwalk.geometry.poses import make_pose
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 from groundwalk.store.settings import SplitRules
@@ -23,20 +23,9 @@ from groundwalk.store.settings import SplitRules
 def frames_of(**recordings: np.ndarray) -> pd.DataFrame:
     """Frames at the given seconds, one recording a keyword; `walk__part2` is a part of `walk`."""
     parts = []
-    for name, seconds in recordings.items():
-        session = name.replace("__", ".")
-        t_ns = np.round(np.asarray(seconds) * 1e9).astype(np.int64)
-        parts.append(
-            pd.DataFrame(
-                {
-                    "session_id": session,
-                    "recording": session.split(".")[0],
-                    "stated_split": None,
-                    "t_ns": t_ns,
-                    "clock": "boot",
-                }
-            )
-        )
+    for session, seconds in ((name.replace("__", "."), np.asarray(s)) for name, s in recordings.items()):
+        names = {"session_id": session, "recording": session.split(".")[0], "stated_split": None, "clock": "boot"}
+        parts.append(pd.DataFrame({"t_ns": np.round(seconds * 1e9).astype(np.int64)}).assign(**names))
     return pd.concat(parts, ignore_index=True)
 
 
@@ -58,10 +47,13 @@ def test_the_sharpest_image_around_a_tick_is_taken() -> None:
     assert {2, 12}.issubset(kept) and 16 not in kept and 33 not in kept
 
 
+def straight(metres: np.ndarray) -> np.ndarray:
+    return make_pose(np.eye(3), np.stack([metres, 0 * metres, 0 * metres], axis=-1))
+
+
 def test_sampling_by_motion_keeps_steps() -> None:
     x = np.cumsum(np.r_[np.zeros(20), np.full(80, 0.125)])
-    poses = make_pose(np.eye(3), np.stack([x, 0 * x, 0 * x], axis=-1))
-    kept = sample_motion(poses, np.ones(len(x)), 0.5, 20.0)
+    kept = sample_motion(straight(x), np.ones(len(x)), 0.5, 20.0)
     np.testing.assert_allclose(np.diff(x[kept]), 0.5)
 
 
@@ -75,40 +67,21 @@ def walk_of(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return make_pose(Rotation.from_euler("y", yaw[:, None]).as_matrix(), np.cumsum(step, axis=0)), rng.random(count)
 
 
-def steps_between(poses: np.ndarray, used: np.ndarray, step_m: float, step_deg: float) -> np.ndarray:
-    """Steps between neighbours in units of the largest allowed."""
-    a_T_b = relative(poses[used[:-1]], poses[used[1:]])
-    turned = np.degrees(rotation_angle(a_T_b[:, :3, :3]))
-    return np.maximum(np.linalg.norm(a_T_b[:, :3, 3], axis=1) / step_m, turned / step_deg)
-
-
-@given(st.integers(2, 150), st.integers(1, 30), st.integers(0, 2**32 - 1))
-def test_support_frames_keep_steps_small_wherever_there_are_images(count: int, every: int, seed: int) -> None:
+@given(st.integers(2, 150), st.integers(1, 30), st.integers(0, 150), st.integers(0, 2**32 - 1))
+def test_support_frames_keep_steps_small_wherever_there_are_images(
+    count: int, every: int, most: int, seed: int
+) -> None:
     poses, sharpness = walk_of(count, seed)
     kept = np.arange(0, count, every)
-    support = sample_between(poses, sharpness, kept, 0.3, 15.0, max_count=count)
-    assert np.intersect1d(support, kept).size == 0 and ((support > kept[0]) & (support < kept[-1])).all()
-    used = np.sort(np.concatenate([kept, support]))
-    large = steps_between(poses, used, 0.3, 15.0) > 1 + 1e-6
-    assert (np.diff(used)[large] == 1).all()
-    # Each was needed: it's in a gap between frames that was too large.
-    gaps = steps_between(poses, kept, 0.3, 15.0) > 1
-    assert gaps[np.searchsorted(kept, support) - 1].all()
-
-
-@given(st.integers(20, 150), st.integers(0, 20), st.integers(0, 2**32 - 1))
-def test_support_frames_stay_within_their_number(count: int, most: int, seed: int) -> None:
-    poses, sharpness = walk_of(count, seed)
-    kept = np.arange(0, count, 10)
     support = sample_between(poses, sharpness, kept, 0.3, 15.0, most)
     assert len(support) <= most
-    if len(support) < most:
-        used = np.sort(np.concatenate([kept, support]))
-        assert (np.diff(used)[steps_between(poses, used, 0.3, 15.0) > 1 + 1e-6] == 1).all()
-
-
-def straight(metres: np.ndarray) -> np.ndarray:
-    return make_pose(np.eye(3), np.stack([metres, 0 * metres, 0 * metres], axis=-1))
+    assert np.intersect1d(support, kept).size == 0 and ((support > kept[0]) & (support < kept[-1])).all()
+    used = np.sort(np.concatenate([kept, support]))
+    large = motion_steps(poses[used[:-1]], poses[used[1:]], 0.3, 15.0) > 1 + 1e-6
+    assert len(support) == most or (np.diff(used)[large] == 1).all()
+    # Each was needed: it's in a gap between frames that was too large.
+    gaps = motion_steps(poses[kept[:-1]], poses[kept[1:]], 0.3, 15.0) > 1
+    assert gaps[np.searchsorted(kept, support) - 1].all()
 
 
 def test_support_frames_are_few_even_and_sharp() -> None:
@@ -133,31 +106,24 @@ def test_thinning_to_a_number_is_even_whatever_the_rate(every: int, sampling: st
     session = session_of(np.arange(0, 34, 0.1)[::every])  # at 1 Hz or 1 m 34 images
     settings = ImportSettings(sampling=sampling, step_m=1.0)
     selection = select([session], settings, density_for([session], settings))["walk"]
-    t_s = np.array([i.frame.t_ns for i in selection.images])[~selection.support] * 1e-9
+    t_s = np.array([i.t_ns for i in selection.images])[~selection.support] * 1e-9
     assert 60 <= len(t_s) <= 66
     steps = np.diff(t_s)[:-1]  # the last image has no window to choose from
     assert steps.max() <= 1.6 * 34 / 60 and steps.min() >= 0.4 * 34 / 60
     assert density_for([session], settings.model_copy(update={"min_frames": 20})) == 1
     assert np.isinf(density_for([session], settings.model_copy(update={"min_frames": 1000})))
-
-
-def test_a_phone_that_stands_still_keeps_every_image() -> None:
-    session = session_of(np.arange(0, 34, 0.1), speed_m_s=0.0)
-    settings = ImportSettings(sampling="motion")
-    assert np.isinf(density_for([session], settings))
+    still = session_of(np.arange(0, 34, 0.1), speed_m_s=0.0)
+    assert np.isinf(density_for([still], ImportSettings(sampling="motion")))
 
 
 def session_of(seconds: np.ndarray, speed_m_s: float = 1.0) -> Session:
     """A straight walk with an image at each of the seconds, equally sharp."""
-    x = speed_m_s * seconds
-    poses = make_pose(np.eye(3), np.stack([x, 0 * x, 0 * x], axis=-1))
+    poses = straight(speed_m_s * seconds)
+    check = ImageCheck(96, 72, 0.5, 50.0, "", "")
     frames = [
-        RawFrame(number, str(number), round(1e9 * s), pose)
-        for number, (s, pose) in enumerate(zip(seconds, poses, strict=True))
+        Image(round(1e9 * s), p, number=i, check=check) for i, (s, p) in enumerate(zip(seconds, poses, strict=True))
     ]
-    raw = Recording("", Clock.BOOT, Path(), frames)
-    images = [Image(frame, ImageCheck(96, 72, 0.5, 50.0, "", "")) for frame in frames]
-    return Session("walk", raw, frames, images, [], [])
+    return Session("walk", Recording("", Clock.BOOT, Path(), frames), [*frames], [], [])
 
 
 def test_a_single_walk_is_split_in_time_with_validation_between() -> None:
@@ -184,21 +150,18 @@ def test_names_decide_and_validation_is_elsewhere_in_each_walk() -> None:
     assert (np.diff(held_a) == 1).all() and split.leak_s is None
 
 
-def test_other_names_are_split_by_fraction() -> None:
-    t = np.arange(0, 50, 1.0)
-    split = split_frames(frames_of(a=t, b=t, c=t, d=t), SplitRules(), by_time=False)
-    assert (split.of_frame == "test").mean() == 0.25
-
-
 @pytest.mark.parametrize(
     ("sizes", "tested"),
     [
+        ({"a": 50, "b": 50, "c": 50, "d": 50}, "d"),
         ({"a": 3, "b": 39}, "a"),
         ({"a": 30, "b": 40, "c": 100}, "b"),
         ({"walk2": 40, "walk10": 10, "walk9": 40}, "walk10"),
     ],
 )
-def test_the_last_recordings_do_not_test_where_they_are_most(sizes: dict[str, int], tested: str) -> None:
+def test_other_names_are_split_by_fraction_and_the_last_do_not_test_where_they_are_most(
+    sizes: dict[str, int], tested: str
+) -> None:
     split = split_frames(frames_of(**{name: np.arange(n) for name, n in sizes.items()}), SplitRules(), by_time=False)
     assert (split.of_frame == "test").sum() == sizes[tested] < (split.of_frame == "train").sum()
 
@@ -213,16 +176,17 @@ def test_without_times_there_is_no_leak_in_seconds() -> None:
     assert stated.leak_s is None and (stated.of_frame[1::2] == "test").all()
 
 
-def test_listed_sessions() -> None:
+def test_lists_decide_and_those_that_cannot_fit_are_refused_before_images_are_read() -> None:
     t = np.arange(0, 50, 1.0)
     frames = frames_of(a=t, b=t, c=t)
     split = split_frames(frames, SplitRules(test=["b"], train=["a"], val_fraction=0), by_time=False)
     assert dict(zip(frames["session_id"], split.of_frame, strict=True)) == {"a": "train", "b": "test", "c": "unused"}
     with pytest.raises(UserError, match="no such session"):
         split_frames(frames, SplitRules(test=["z"]), by_time=False)
-
-
-def test_lists_that_cannot_fit_are_refused_before_images_are_read() -> None:
+    with pytest.raises(UserError, match=r"(?s)no frame to test on.*1 frames, split by time"):
+        split_frames(frames_of(walk=np.array([0.0])), SplitRules(), by_time=False)
+    with pytest.raises(UserError, match="no frame to train on"):
+        split_frames(frames_of(walk=t, walk__part2=t + 60), SplitRules(test=["walk", "walk.part2"]), by_time=False)
     refuse_lists(SplitRules(), ["a"])
     refuse_lists(SplitRules(test=["a", "b.part2"]), ["a", "b", "c"])
     with pytest.raises(UserError, match=r"(?s)no such session.*one of a, b\n.*found: +z"):
@@ -231,14 +195,6 @@ def test_lists_that_cannot_fit_are_refused_before_images_are_read() -> None:
         refuse_lists(SplitRules(test=["a", "b"]), ["a", "b"])
     with pytest.raises(UserError, match="no frame to test on"):
         refuse_lists(SplitRules(train=["a"]), ["a"])
-
-
-def test_a_split_without_a_side_is_refused() -> None:
-    with pytest.raises(UserError, match=r"(?s)no frame to test on.*1 frames, split by time"):
-        split_frames(frames_of(walk=np.array([0.0])), SplitRules(), by_time=False)
-    parts = frames_of(walk=np.arange(0, 50, 1.0), walk__part2=np.arange(60, 90, 1.0))
-    with pytest.raises(UserError, match="no frame to train on"):
-        split_frames(parts, SplitRules(test=["walk", "walk.part2"]), by_time=False)
 
 
 def test_a_leak_between_listed_parts_is_refused_unless_allowed() -> None:

@@ -1,8 +1,10 @@
 """Archives and logs that are made to harm: each its own folder, bounded in bytes, memory and names."""
 
 import json
+import shutil
 import subprocess
 import sys
+import tempfile
 import zipfile
 from pathlib import Path
 
@@ -19,26 +21,16 @@ from groundwalk.store.schemas import schema
 from groundwalk.store.tables import read_table
 from tests.capture_import.capture_writers import WRITERS, make_walk
 
-SMALL = Limits(max_archive_bytes=1 << 20)
-
 
 def zipped_walk(archive: Path, frames: int) -> None:
-    folder = archive.with_suffix(".folder")
-    WRITERS["frames_jsonl"].write(folder, make_walk(frames))
+    with tempfile.TemporaryDirectory() as folder:
+        WRITERS["frames_jsonl"].write(Path(folder), make_walk(frames))
+        written = shutil.make_archive(f"{folder}-zipped", "zip", folder)
     archive.parent.mkdir(parents=True, exist_ok=True)
-    with zipfile.ZipFile(archive, "w") as content:
-        for path in sorted(folder.rglob("*")):
-            content.write(path, path.relative_to(folder))
-            if path.is_file():
-                path.unlink()
-    for path in sorted(folder.rglob("*"), reverse=True):
-        path.rmdir()
-    folder.rmdir()
+    shutil.move(written, archive)
 
 
-@pytest.mark.parametrize(
-    ("one", "other"), [("x/y.zip", "x-y.zip"), ("a b.zip", "a_b.zip"), ("x/y.zip", "x/y.r3d"), ("x/é.zip", "x/è.zip")]
-)
+@pytest.mark.parametrize(("one", "other"), [("x/y.zip", "x-y.zip"), ("x/y.zip", "x/y.r3d"), ("x/é.zip", "x/è.zip")])
 def test_each_archive_has_a_folder_of_its_own(tmp_path: Path, one: str, other: str) -> None:
     root = tmp_path / "place"
     zipped_walk(root / one, 4)
@@ -49,21 +41,10 @@ def test_each_archive_has_a_folder_of_its_own(tmp_path: Path, one: str, other: s
     assert [recording.path for recording in again] == [recording.path for recording in found]
 
 
-def test_the_same_images_in_train_and_test_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    root = tmp_path / "captures" / "place"
-    zipped_walk(root / "train.zip", 4)
-    zipped_walk(root / "test.zip", 4)
-    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["sampling=all", "check_convention=false"])
-    frames = read_table(artefact / "frames.parquet", schema("import", "frames"))
-    count = int((frames["split"] == "test").sum())
-    assert count > 0 and load_manifest(artefact)["figures"]["test_images_also_in_train"] == count
-    assert f"warning: {count} of {count} test images are also training images" in " ".join(
-        capsys.readouterr().err.split()
-    )
-
-
 @pytest.mark.parametrize("zipped", ["folder", "zip"])
-def test_images_that_differ_in_metadata_alone_are_the_same(tmp_path: Path, zipped: str) -> None:
+def test_images_in_train_and_test_that_differ_in_metadata_alone_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], zipped: str
+) -> None:
     root, comment = tmp_path / "captures" / "place", b"\xff\xfe\x00\x06here"
     WRITERS["frames_jsonl"].write(root / "train", make_walk(4))
     if zipped == "zip":
@@ -74,7 +55,10 @@ def test_images_that_differ_in_metadata_alone_are_the_same(tmp_path: Path, zippe
         image.write_bytes(image.read_bytes()[:2] + comment + image.read_bytes()[2:])
     artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["sampling=all", "check_convention=false"])
     figures = load_manifest(artefact)["figures"]
-    assert figures["test_images_also_in_train"] == figures["frames_test"] > 0
+    count = figures["frames_test"]
+    assert figures["test_images_also_in_train"] == count > 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"warning: {count} of {count} test images are also training images" in said
 
 
 def test_a_zipped_export_of_a_simulated_scene_is_simulated(tmp_path: Path) -> None:
@@ -85,22 +69,19 @@ def test_a_zipped_export_of_a_simulated_scene_is_simulated(tmp_path: Path) -> No
     assert load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["check_convention=false"]))["simulated"]
 
 
-def test_an_archive_that_shrinks_more_than_captures_do_is_refused(tmp_path: Path) -> None:
+def test_archives_that_shrink_too_much_or_hold_too_much_together_are_refused(tmp_path: Path) -> None:
     bomb = tmp_path / "bomb.zip"
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as content, content.open("zeros", "w") as member:
         for _ in range(110):
             member.write(bytes(1 << 20))
-    with pytest.raises(UserError, match="more bytes than the limit"):
-        unpack(bomb, tmp_path / "unpacked" / "a", Limits())
-
-
-def test_the_archives_of_a_capture_share_one_limit(tmp_path: Path) -> None:
     for name in ("a", "b"):
         with zipfile.ZipFile(tmp_path / f"{name}.zip", "w") as content:
             content.writestr("noise", bytes(700_000))
-    unpack(tmp_path / "a.zip", tmp_path / "unpacked" / "a", SMALL)
-    with pytest.raises(UserError, match="more bytes than the limit"):
-        unpack(tmp_path / "b.zip", tmp_path / "unpacked" / "b", SMALL)
+    small = Limits(max_archive_bytes=1 << 20)
+    unpack(tmp_path / "a.zip", tmp_path / "unpacked" / "a", small)
+    for archive, limits in ((bomb, Limits()), (tmp_path / "b.zip", small)):
+        with pytest.raises(UserError, match="more bytes than the limit"):
+            unpack(archive, tmp_path / "unpacked" / archive.stem, limits)
 
 
 def test_an_archive_for_which_there_is_no_space_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,15 +155,14 @@ def test_logs_are_read_line_by_line_within_limits(tmp_path: Path) -> None:
         lines_of(tmp_path / "none", Limits())
 
 
-@pytest.mark.parametrize("name", ["x" * 250, "é" * 120, "漢" * 80], ids=["ascii", "two bytes", "three bytes"])
+@pytest.mark.parametrize("name", ["x" * 250, "漢" * 80], ids=["ascii", "three bytes"])
 def test_a_session_of_a_long_name_is_imported(tmp_path: Path, name: str) -> None:
     root = tmp_path / "captures" / "place"
-    WRITERS["frames_jsonl"].write(root / name, make_walk(4))
-    WRITERS["frames_jsonl"].write(root / (name[:-1] + "z"), make_walk(4))
+    for folder in (name, name[:-1] + "z"):
+        WRITERS["frames_jsonl"].write(root / folder, make_walk(4))
     artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["images=copy", "check_convention=false"])
-    frames = read_table(artefact / "frames.parquet", schema("import", "frames"))
-    assert frames["session_id"].nunique() == 2
-    assert max(len(session.encode()) for session in frames["session_id"]) <= 120
+    sessions = set(read_table(artefact / "frames.parquet", schema("import", "frames"))["session_id"])
+    assert len(sessions) == 2 and max(len(session.encode()) for session in sessions) <= 120
 
 
 def test_a_bomb_of_brackets_stays_within_a_gibibyte(tmp_path: Path) -> None:

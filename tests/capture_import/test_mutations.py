@@ -109,21 +109,18 @@ def test_archives_cannot_write_outside(tmp_path: Path, name: str) -> None:
     assert not list(tmp_path.rglob("evil*"))
 
 
-def test_archives_with_links_and_bombs_are_refused(tmp_path: Path) -> None:
-    linked, bomb, many = (tmp_path / name for name in ("linked.zip", "bomb.zip", "many.zip"))
+def test_archives_with_links_or_too_many_files_are_refused(tmp_path: Path) -> None:
+    linked, many = tmp_path / "linked.zip", tmp_path / "many.zip"
     with zipfile.ZipFile(linked, "w") as content:
         member = zipfile.ZipInfo("link")
         member.external_attr = (stat.S_IFLNK | 0o777) << 16
         content.writestr(member, "/etc/passwd")
-    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as content:
-        content.writestr("zeros", bytes(20_000_000))
     with zipfile.ZipFile(many, "w") as content:
         for i in range(20):
             content.writestr(str(i), "")
-    limits = Limits(max_archive_bytes=10_000_000, max_archive_files=10)
-    for archive, found in ((linked, "no file or folder"), (bomb, "more bytes"), (many, "more than 10 files")):
+    for archive, found in ((linked, "no file or folder"), (many, "more than 10 files")):
         with pytest.raises(UserError, match=found):
-            unpack(archive, tmp_path / "target", limits)
+            unpack(archive, tmp_path / "target", Limits(max_archive_files=10))
         assert not (tmp_path / "target").exists()
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.inspection import inspect_capture
+from groundwalk.geometry.poses import make_pose
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.tables import poses_of
 from tests.capture_import.capture_writers import HEIGHT, WIDTH, Walk, make_walk, write_frames_jsonl, write_scanner_app
@@ -26,7 +27,7 @@ def run_import(data: Path, scene: str, *settings: str) -> dict[str, pd.DataFrame
     return tables | {"figures": json.loads((folder / "manifest.json").read_text())["figures"]}
 
 
-def test_tables_hold_the_walk_as_it_was(tmp_path: Path) -> None:
+def test_tables_hold_the_walk_as_it_was_and_nothing_personal(tmp_path: Path) -> None:
     walks = {"train-1": make_walk(60), "train-2": make_walk(60, seed=1), "test-1": make_walk(60, seed=2)}
     for name, walk in walks.items():
         write_scanner_app(tmp_path / "captures" / "place" / name, walk, private=True)
@@ -44,8 +45,8 @@ def test_tables_hold_the_walk_as_it_was(tmp_path: Path) -> None:
         assert (own["width"] == WIDTH).all() and (own["height"] == HEIGHT).all()
         vio = tables["vio"][tables["vio"]["session_id"] == name]
         np.testing.assert_allclose(poses_of(vio, "vio_cam"), walk.vio_T_cam, atol=1e-9)
-        # The phone is held upright: gravity is along the image's y axis.
-        assert (own["gravity_y"] > 0.9).all()
+        down = np.einsum("nij,nj->ni", walk.vio_T_cam[index, :3, :3], own[["gravity_x", "gravity_y", "gravity_z"]])
+        np.testing.assert_allclose(down, np.tile([0, -1, 0], (len(own), 1)), atol=1e-9)
         path = np.linalg.norm(np.diff(walk.vio_T_cam[:, :3, 3], axis=0), axis=1).sum()
         row = tables["sessions"].set_index("session_id").loc[name]
         assert row["path_m"] == pytest.approx(path) and row["duration_s"] == pytest.approx(5.9)
@@ -53,32 +54,21 @@ def test_tables_hold_the_walk_as_it_was(tmp_path: Path) -> None:
     assert by_split == {"train-1": {"train", "val"}, "train-2": {"train", "val"}, "test-1": {"test"}}
     assert tables["rejects"].empty and tables["jumps"].empty
     assert tables["figures"]["leak_s"] is None
-
-
-def test_nothing_personal_enters_artefacts(tmp_path: Path) -> None:
-    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(), private=True)
-    run_import(tmp_path, "place")
     for path in (tmp_path / "runs").rglob("*"):
-        if path.is_file():
-            content = path.read_bytes()
-            assert b"latitude" not in content and b"48.123456" not in content
-    values = pd.read_parquet(tmp_path / "runs/tiny/place/import/frames.parquet").select_dtypes("number").to_numpy()
-    assert not np.isclose(values, 48.123456).any()
+        assert path.is_dir() or not any(private in path.read_bytes() for private in (b"latitude", b"48.123456"))
+    assert not np.isclose(frames.select_dtypes("number").to_numpy(), 48.123456).any()
 
 
-def test_few_frames_are_all_kept_and_the_leak_is_told(tmp_path: Path) -> None:
+def test_few_frames_are_all_kept_the_leak_is_told_and_inspect_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(48))
+    last = list(inspect_capture(tmp_path / "captures" / "place"))[-1].removeprefix("all recordings: ")
     tables = run_import(tmp_path, "place")
     assert len(tables["frames"]) == 24
     assert set(tables["frames"]["split"]) == {"train", "val", "test"}
     assert 0 < tables["figures"]["leak_s"] < 5
-
-
-def test_sampling_takes_one_frame_a_second(tmp_path: Path) -> None:
-    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(201))
-    frames = run_import(tmp_path, "place", "min_frames=0", "max_support_fraction=0")["frames"]
-    steps = np.diff(frames["t_ns"]) * 1e-9
-    assert len(frames) == 21 and steps.min() >= 0.5 and steps.max() <= 1.5
+    assert last.endswith("all are used") and last.partition(" (")[0] in capsys.readouterr().err
 
 
 def test_support_frames_are_added_between_frames_that_stay_the_same(tmp_path: Path) -> None:
@@ -90,6 +80,8 @@ def test_support_frames_are_added_between_frames_that_stay_the_same(tmp_path: Pa
     dataset, support = frames[~frames["support"]], frames[frames["support"]]
     assert not alone["frames"]["support"].any() and len(support) > 10
     pd.testing.assert_frame_equal(dataset.reset_index(drop=True), alone["frames"])
+    steps = np.diff(dataset.loc[dataset["session_id"] == "walk", "t_ns"]) * 1e-9
+    assert len(steps) == 20 and steps.min() >= 0.5 and steps.max() <= 1.5  # one frame a second
     figures = tables["figures"]
     assert (figures["frames"], figures["support_frames"]) == (len(dataset), len(support))
     assert sum(figures[f"frames_{split}"] for split in ("train", "val", "test")) == len(dataset)
@@ -104,35 +96,27 @@ def test_support_frames_are_added_between_frames_that_stay_the_same(tmp_path: Pa
             assert extra.split == own["split"].iloc[(own["t_ns"] - extra.t_ns).abs().argmin()]
 
 
-def test_the_order_of_files_in_the_folder_does_not_matter(tmp_path: Path) -> None:
+def test_the_same_capture_gives_the_same_bytes_whatever_the_order_of_its_files(tmp_path: Path) -> None:
     written = tmp_path / "one" / "captures" / "place" / "walk"
     write_scanner_app(written, make_walk(201))
     shuffled = tmp_path / "two" / "captures" / "place" / "walk"
     shuffled.mkdir(parents=True)
     for path in np.random.default_rng(0).permutation(sorted(written.iterdir())):
         shutil.copyfile(path, shuffled / path.name)
-    one, two = (run_import(tmp_path / name, "place", "min_frames=30")["frames"] for name in ("one", "two"))
-    assert one["support"].sum() > 5
-    pd.testing.assert_frame_equal(one, two)
+    one, two = (execute(STAGE, "place", "tiny", DataRoot(tmp_path / n), ["min_frames=30"]) for n in ("one", "two"))
+    assert pd.read_parquet(one / "frames.parquet")["support"].sum() > 5
+    tables = {path.name: path.read_bytes() for path in one.glob("*.parquet")}
+    assert tables == {path.name: path.read_bytes() for path in two.glob("*.parquet")}
 
 
 def test_a_capture_with_too_few_frames_is_thinned_evenly_to_so_many(tmp_path: Path) -> None:
     write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(301, every=1))  # 30 s, 31 frames at 1 Hz
-    for settings in ((), ("sampling='motion'", "step_m=3")):
-        frames = run_import(tmp_path, "place", "max_support_fraction=0", *settings)["frames"]
-        assert 60 <= len(frames) <= 64
-    steps = np.diff(run_import(tmp_path, "place", "max_support_fraction=0")["frames"]["t_ns"])[:-1] * 1e-9
-    assert steps.min() >= 0.25 and steps.max() <= 0.75
-
-
-def test_copied_images_are_the_same_bytes(tmp_path: Path) -> None:
-    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk())
-    frames = run_import(tmp_path, "place", "images='copy'")["frames"]
-    folder = tmp_path / "runs/tiny/place/import"
+    frames = run_import(tmp_path, "place", "max_support_fraction=0", "images='copy'")["frames"]
+    steps = np.diff(frames["t_ns"])[:-1] * 1e-9
+    assert 60 <= len(frames) <= 64 and steps.min() >= 0.25 and steps.max() <= 0.75
     for row in rows(frames):
-        number = int(row.frame_id[-6:])
-        copied = (folder / row.image.removeprefix("import:")).read_bytes()
-        assert copied == (tmp_path / f"captures/place/walk/frame_{number:05d}.jpg").read_bytes()
+        copied = (tmp_path / "runs/tiny/place/import" / row.image.removeprefix("import:")).read_bytes()
+        assert copied == (tmp_path / f"captures/place/walk/frame_{int(row.frame_id[-6:]):05d}.jpg").read_bytes()
 
 
 def test_a_broken_row_costs_that_row_and_says_why(tmp_path: Path) -> None:
@@ -146,30 +130,31 @@ def test_a_broken_row_costs_that_row_and_says_why(tmp_path: Path) -> None:
     def fetch(index: int, key: str) -> list[float]:
         return json.loads((folder / f"frame_{index:05d}.json").read_text())[key]
 
-    expected = {}
-    cut = (folder / "frame_00003.jpg").read_bytes()
+    cut, outside = (folder / "frame_00003.jpg").read_bytes(), tmp_path / "outside.jpg"
     (folder / "frame_00003.jpg").write_bytes(cut[: len(cut) // 2])
-    expected["frame_00003.json"] = "image is broken"
     (folder / "frame_00004.json").write_text("{")
-    expected["frame_00004.json"] = "file isn't JSON"
     change(5, cameraPoseARFrame=[float("nan")] * 16)
-    expected["frame_00005.json"] = "pose has a value that isn't finite"
     change(6, cameraPoseARFrame=(np.array(fetch(6, "cameraPoseARFrame")) * 1.2).tolist())
-    expected["frame_00006.json"] = "pose isn't rigid"
     change(7, intrinsics=[80, 0, 400, 0, 80, 35, 0, 0, 1])
-    expected["frame_00007.json"] = "principal point"
     change(8, time=fetch(9, "time"))
-    expected["frame_00008.json"] = "time is a duplicate"
     change(10, time=1.0)
-    expected["frame_00010.json"] = "time goes backward"
     (folder / "frame_00011.jpg").write_bytes(b"")
-    expected["frame_00011.json"] = "image is empty"
-    outside = tmp_path / "outside.jpg"
     (folder / "frame_00012.jpg").rename(outside)
     (folder / "frame_00012.jpg").symlink_to(outside)
-    expected["frame_00012.json"] = "image is a link that leads out"
     (folder / "frame_00099.jpg").write_bytes(cut)
-    expected["frame_00099.jpg"] = expected["frame_00004.jpg"] = "no row of the log that can be read names this image"
+    expected = {
+        "frame_00003.json": "image is broken",
+        "frame_00004.json": "file isn't JSON",
+        "frame_00004.jpg": "no row of the log that can be read names this image",
+        "frame_00005.json": "pose has a value that isn't finite",
+        "frame_00006.json": "pose isn't rigid",
+        "frame_00007.json": "principal point",
+        "frame_00008.json": "time is a duplicate",
+        "frame_00010.json": "time goes backward",
+        "frame_00011.json": "image is empty",
+        "frame_00012.json": "image is a link that leads out",
+        "frame_00099.jpg": "no row of the log that can be read names this image",
+    }
     tables = run_import(tmp_path, "place")
     found = dict(zip(tables["rejects"]["source"], tables["rejects"]["reason"], strict=True))
     # Of two rows with the same time either may go.
@@ -264,22 +249,18 @@ def test_user_mistakes_are_told_in_a_few_lines(tmp_path: Path) -> None:
 
 def _with(walk: Walk, fault: str) -> Walk:
     """The walk with a fault that no single row shows."""
+    count, xyz = len(walk.t_ns), walk.vio_T_cam[:, :3, 3]
     units = {"tenths of a metre": 10, "centimetres": 100, "millimetres": 1000, "kilometres": 1e-3}
-    if fault in units:
-        poses = walk.vio_T_cam.copy()
-        poses[:, :3, 3] *= units[fault]
-        return replace(walk, vio_T_cam=poses)
-    if fault == "turning alone":
-        poses = walk.vio_T_cam.copy()
-        poses[:, :3, 3] = poses[0, :3, 3]
-        return replace(walk, vio_T_cam=poses)
-    if fault == "frozen":
-        return replace(walk, vio_T_cam=np.repeat(walk.vio_T_cam[:1], len(walk.t_ns), axis=0))
-    if fault == "one image":
-        return replace(walk, has_image=np.arange(len(walk.t_ns)) == 4)
-    if fault == "black":
-        return replace(walk, pictures=np.zeros((len(walk.t_ns), HEIGHT, WIDTH, 3), np.uint8))
-    return replace(walk, t_ns=walk.t_ns * 1000 if fault == "milliseconds" else walk.t_ns // 1000)
+    changed = {
+        "turning alone": {"vio_T_cam": make_pose(walk.vio_T_cam[:, :3, :3], np.repeat(xyz[:1], count, axis=0))},
+        "frozen": {"vio_T_cam": np.repeat(walk.vio_T_cam[:1], count, axis=0)},
+        "one image": {"has_image": np.arange(count) == 4},
+        "black": {"pictures": np.zeros((count, HEIGHT, WIDTH, 3), np.uint8)},
+        "milliseconds": {"t_ns": walk.t_ns * 1000},
+        "microseconds": {"t_ns": walk.t_ns // 1000},
+        **{name: {"vio_T_cam": make_pose(walk.vio_T_cam[:, :3, :3], f * xyz)} for name, f in units.items()},
+    }
+    return replace(walk, **changed[fault])
 
 
 @pytest.mark.parametrize(
@@ -340,14 +321,6 @@ def test_a_single_image_is_told_and_refused(tmp_path: Path, capsys: pytest.Captu
     assert f"warning: walk: {said}" in capsys.readouterr().err
 
 
-def test_inspect_samples_as_import_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(48))
-    last = list(inspect_capture(tmp_path / "captures" / "place"))[-1].removeprefix("all recordings: ")
-    assert last.endswith("all are used")
-    run_import(tmp_path, "place")
-    assert last.partition(" (")[0] in capsys.readouterr().err
-
-
 def test_what_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UserError, match="unknown kind"):
         list(inspect_capture(Path("/dev/null")))
@@ -361,36 +334,15 @@ def test_what_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyP
         list(inspect_capture(tmp_path / "walk"))
 
 
-def test_the_same_capture_gives_the_same_bytes(tmp_path: Path) -> None:
-    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk())
-    folder = execute(STAGE, "place", "tiny", DataRoot(tmp_path))
-    first = {p.name: p.read_bytes() for p in folder.glob("*.parquet")}
-    execute(STAGE, "place", "tiny", DataRoot(tmp_path), force=True)
-    assert first == {p.name: p.read_bytes() for p in folder.glob("*.parquet")}
-
-
-def test_chair_is_imported_whole(tmp_path: Path, shared_captures: Path) -> None:
+@pytest.mark.parametrize(("capture", "frames", "images", "poses"), [("chair", 24, 24, 70), ("corridor", 77, 140, 436)])
+def test_real_captures_are_imported_whole(
+    tmp_path: Path, shared_captures: Path, capture: str, frames: int, images: int, poses: int
+) -> None:
     (tmp_path / "captures").mkdir()
-    (tmp_path / "captures" / "chair").symlink_to(shared_captures / "chair")
-    tables = run_import(tmp_path, "chair")
-    assert len(tables["frames"]) == 24 and len(tables["vio"]) == 70
+    (tmp_path / "captures" / capture).symlink_to(shared_captures / capture)
+    tables = run_import(tmp_path, capture)
+    used = tables["frames"]
+    assert (~used["support"]).sum() == frames and len(used) >= images and len(tables["vio"]) == poses
+    assert tables["sessions"][["frames", "support_frames"]].to_numpy().tolist() == [[frames, len(used) - frames]]
     assert tables["rejects"].empty and tables["jumps"].empty
-
-
-def test_corridor_is_dense_enough_for_sfm(tmp_path: Path, shared_captures: Path) -> None:
-    (tmp_path / "captures").mkdir()
-    (tmp_path / "captures" / "corridor").symlink_to(shared_captures / "corridor")
-    tables = run_import(tmp_path, "corridor")
-    frames = tables["frames"]
-    assert (~frames["support"]).sum() == 77 and len(frames) >= 140
-    assert tables["sessions"][["frames", "support_frames"]].to_numpy().tolist() == [[77, len(frames) - 77]]
-
-
-@pytest.mark.slow
-def test_corridor_has_its_length_and_every_image(tmp_path: Path, shared_captures: Path) -> None:
-    (tmp_path / "captures").mkdir()
-    (tmp_path / "captures" / "corridor").symlink_to(shared_captures / "corridor")
-    tables = run_import(tmp_path, "corridor", "sampling='all'")
-    assert len(tables["frames"]) == 146 and len(tables["vio"]) == 436
-    assert tables["sessions"]["path_m"].item() == pytest.approx(67.7, abs=0.1)
-    assert tables["rejects"].empty and tables["jumps"].empty
+    assert tables["sessions"]["path_m"].item() == pytest.approx({"chair": 2.6, "corridor": 67.7}[capture], abs=0.1)

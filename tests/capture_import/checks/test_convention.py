@@ -18,6 +18,7 @@ from groundwalk.geometry.poses import Array, interpolate, make_pose
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.choices import Clock
 from tests.capture_import.capture_writers import reader_of, sessions_in
+from tests.known import there
 
 # What undoes a mistake, where it isn't the mistake itself.
 UNDONE_BY = {
@@ -51,10 +52,9 @@ def room(
             picture = np.maximum(picture, _wall(texture, camera, pose, depth, left, right))
         path = tmp_path / f"{i}.png"
         cv2.imwrite(str(path), picture)
-        frame = RawFrame(i, path.name, i * 10**8, pose, ImageFile(path), camera)
-        images.append(Image(frame, check_image(path.read_bytes(), 1.0)))
-    raw = Recording("phone", Clock.BOOT, tmp_path, [i.frame for i in images])
-    return Session("room", raw, [i.frame for i in images], images, [], [])
+        check = check_image(path.read_bytes(), 1.0)
+        images.append(Image(i * 10**8, pose, ImageFile(path), camera, number=i, source=path.name, check=check))
+    return Session("room", Recording("phone", Clock.BOOT, tmp_path, images), [*images], [], [])
 
 
 def _wall(
@@ -78,57 +78,66 @@ def _wall(
 
 def with_mistake(session: Session, name: str) -> Session:
     change = dict(CONVENTIONS)[name]
-    images = []
+    images: list[RawFrame] = []
     for image in session.images:
-        camera = image.frame.intrinsics
-        assert camera is not None and image.frame.vio_T_cam is not None
-        pose, k = change((image.frame.vio_T_cam, np.array([camera.fx, camera.fy, camera.cx, camera.cy])))
+        camera = image.camera
+        pose, k = change((there(image.vio_T_cam), np.array([camera.fx, camera.fy, camera.cx, camera.cy])))
         mistaken = replace(Intrinsics.of(k.tolist()), distortion=camera.distortion)
-        frame = replace(image.frame, vio_T_cam=pose, intrinsics=mistaken)
-        images.append(replace(image, frame=frame))
-    return replace(session, images=images)
+        images.append(replace(image, vio_T_cam=pose, intrinsics=mistaken))
+    return replace(session, frames=images)
 
 
 FISHEYE = tuple(rational_of_fisheye([0.0] * 4, 1.1, 1e-3).tolist())
 
 
-@pytest.mark.parametrize(("focal", "lens"), [(300.0, ()), (190.0, FISHEYE)], ids=["pinhole", "fisheye"])
-def test_right_poses_pass_and_mistakes_are_named(tmp_path: Path, focal: float, lens: tuple[float, ...]) -> None:
+MISTAKES = (
+    "camera y and z axes have the other sign (ARKit's or OpenGL's for OpenCV's, or back)",
+    "poses are world to camera",
+    "quaternions are w first, read as w last",
+    "image is turned by 90 degrees clockwise against the pose",
+)
+
+
+@pytest.mark.parametrize(
+    ("focal", "lens", "mistakes"), [(300.0, (), MISTAKES), (190.0, FISHEYE, MISTAKES[:1])], ids=["pinhole", "fisheye"]
+)
+def test_right_poses_pass_and_mistakes_are_named(
+    tmp_path: Path, focal: float, lens: tuple[float, ...], mistakes: tuple[str, ...]
+) -> None:
     session = room(tmp_path, focal=focal, lens=lens)
     right = check_convention(session, reader_of(tmp_path))
     assert right.pairs >= 4 and right.declared > 0.9 and right.contradicted is None
-    for name in (
-        "camera y and z axes have the other sign (ARKit's or OpenGL's for OpenCV's, or back)",
-        "poses are world to camera",
-        "quaternions are w first, read as w last",
-        "image is turned by 90 degrees clockwise against the pose",
-    ):
+    for name in mistakes:
         wrong = check_convention(with_mistake(session, name), reader_of(tmp_path))
         assert wrong.contradicted == UNDONE_BY.get(name, name)
+    # Images without parallax tell nothing.
+    still = check_convention(replace(session, frames=session.frames[:1] * 5), reader_of(tmp_path))
+    assert still.pairs == 0 and still.contradicted is None
 
 
-def test_images_without_parallax_tell_nothing(tmp_path: Path) -> None:
-    session = room(tmp_path)
-    still = replace(session, images=[session.images[0]] * 5)
-    check = check_convention(still, reader_of(tmp_path))
-    assert check.pairs == 0 and check.contradicted is None
+@pytest.fixture(scope="module")
+def slow_walk(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    return room(tmp_path_factory.mktemp("slow"), count=40, step_m=0.004, pace=0.3)
 
 
 @pytest.mark.parametrize("offset_s", [0.0, 0.12, -0.08])
-def test_a_clock_that_is_off_is_measured(tmp_path: Path, offset_s: float) -> None:
-    session = room(tmp_path, count=40, step_m=0.004, pace=0.3)
+def test_a_clock_that_is_off_is_measured(slow_walk: Session, offset_s: float) -> None:
+    session = slow_walk
     # Poses at four times the rate of the images, which are stamped too early by the offset.
-    poses = np.array([frame.vio_T_cam for frame in session.frames])
-    dense_ns = np.arange(0, int(session.t_ns[-1]), 25_000_000)
+    poses, off_ns = np.array([frame.vio_T_cam for frame in session.frames]), round(offset_s * 1e9)
+
+    def at(t_ns: np.ndarray) -> np.ndarray:
+        return interpolate(session.t_ns, poses, t_ns)
+
+    images = session.images[5:-5]
+    stamps = np.array([image.t_ns - off_ns for image in images])
+    stamped = [replace(i, t_ns=int(t), vio_T_cam=p) for i, t, p in zip(images, stamps, at(stamps), strict=True)]
+    dense_ns = np.setdiff1d(np.arange(0, int(session.t_ns[-1]), 25_000_000), stamps)
     dense = [
-        RawFrame(i, "", int(t), pose)
-        for i, (t, pose) in enumerate(zip(dense_ns, interpolate(session.t_ns, poses, dense_ns), strict=True))
+        RawFrame(int(t), pose, number=100 + i) for i, (t, pose) in enumerate(zip(dense_ns, at(dense_ns), strict=True))
     ]
-    stamped = [
-        replace(image, frame=replace(image.frame, t_ns=image.frame.t_ns - round(offset_s * 1e9)))
-        for image in session.images[5:-5]
-    ]
-    check = check_clock(replace(session, frames=dense, images=stamped), reader_of(tmp_path))
+    frames = sorted([*dense, *stamped], key=lambda frame: frame.t_ns)
+    check = check_clock(replace(session, frames=frames), reader_of(session.recording.folder))
     assert check.offset_s == pytest.approx(offset_s, abs=0.02)
 
 

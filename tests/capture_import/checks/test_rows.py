@@ -1,4 +1,4 @@
-"""Rows, times, jumps, gravity and sharpness, without files."""
+"""Rows, times, jumps and sharpness, without files."""
 
 import json
 from dataclasses import replace
@@ -16,14 +16,15 @@ from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, R
 from groundwalk.capture_import.checks.jumps import find_jumps
 from groundwalk.capture_import.checks.rows import check_rows
 from groundwalk.capture_import.media.images import BadImage, check_image, sharpness
-from groundwalk.geometry.gravity import gravity_in_camera
 from groundwalk.geometry.poses import Array, make_pose, nearest_rotation, rotation_angle, yaw_rotation
 from groundwalk.store.choices import Clock
 from tests.capture_import.capture_writers import image, make_walk
 
 
 def session_of(t_ns: np.ndarray, poses: list[Array | None]) -> Recording:
-    frames = [RawFrame(i, f"row {i}", int(t), pose) for i, (t, pose) in enumerate(zip(t_ns, poses, strict=True))]
+    frames = [
+        RawFrame(int(t), pose, number=i, source=f"row {i}") for i, (t, pose) in enumerate(zip(t_ns, poses, strict=True))
+    ]
     return Recording("phone", Clock.BOOT, Path(), frames)
 
 
@@ -102,15 +103,6 @@ def test_jumps_in_real_walks(shared_trajectories: Path) -> None:
         t_ns = np.array([round(row["timestamp"] * 1e9) for row in rows])
         jumps = [round(j.jump_m, 1) for j in find_jumps(t_ns, poses)]
         assert jumps == ([4.6] if path.stem == "floor_2_straight" else []), path.stem
-
-
-def test_gravity_points_down_in_the_image_of_an_upright_phone() -> None:
-    walk = make_walk(40)
-    gravity = gravity_in_camera(walk.vio_T_cam)
-    np.testing.assert_allclose(np.linalg.norm(gravity, axis=1), 1)
-    # Back in the world it is -y.
-    world = np.einsum("nij,nj->ni", walk.vio_T_cam[:, :3, :3], gravity)
-    np.testing.assert_allclose(world, np.tile([0, -1, 0], (40, 1)), atol=1e-12)
 
 
 def test_sharpness_falls_with_blur_and_not_with_exposure() -> None:

@@ -39,11 +39,16 @@ def test_every_format_has_a_writer() -> None:
     assert {name for name in FORMATS.builtin if not FORMATS[name].is_images_alone} == WRITERS.keys()
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", [*WRITERS, "record3d.r3d"])
 def test_a_written_walk_reads_back_the_same(tmp_path: Path, name: str) -> None:
-    walk, writer = make_walk(24), WRITERS[name]
-    writer.write(tmp_path / "place" / "walk", walk)
-    assert find_one(tmp_path / "place").format.id == name
+    walk, (name, _, archive) = make_walk(24), name.partition(".")
+    writer = WRITERS[name]
+    if archive:
+        write_record3d(tmp_path / "place" / "walk", walk, archive=True)
+    else:
+        writer.write(tmp_path / "place" / "walk", walk)
+    found = find_one(tmp_path / "place")
+    assert found.format.id == name and (not archive or found.recording_id == "walk")
     (session,) = sessions_in(tmp_path / "place")
     assert not session.rejects
     # Which instants of the walk the format kept: all, or those with an image.
@@ -58,12 +63,11 @@ def test_a_written_walk_reads_back_the_same(tmp_path: Path, name: str) -> None:
     if not writer.images:
         assert not session.images
         return
-    for found in session.images:
-        index = int(np.argmin(np.abs(poses - there(found.frame.vio_T_cam)).sum(axis=(1, 2))))
-        camera = found.frame.intrinsics
-        assert camera is not None
+    for seen in session.images:
+        index = int(np.argmin(np.abs(poses - there(seen.vio_T_cam)).sum(axis=(1, 2))))
         if writer.camera:
-            assert (found.check.width, found.check.height) == (WIDTH, HEIGHT)
+            camera = seen.camera
+            assert (seen.check.width, seen.check.height) == (WIDTH, HEIGHT)
             np.testing.assert_allclose([camera.fx, camera.fy, camera.cx, camera.cy], walk.camera[kept[index]])
     assert len(session.images) == (24 if name == "stray_scanner" else 12)
 
@@ -155,20 +159,14 @@ def test_rows_that_only_add_a_tag_are_not_read(tmp_path: Path) -> None:
     assert [reject.source for reject in session.rejects] == ["ARCore_sensor_pose.txt line 14"]
 
 
-def test_older_stray_scanner_has_one_camera_for_all(tmp_path: Path) -> None:
-    walk = make_walk(12)
-    write_stray_scanner(tmp_path / "place" / "walk", walk, per_frame=False)
+def test_older_stray_scanner_has_one_camera_and_a_video_that_starts_elsewhere_is_not_joined(tmp_path: Path) -> None:
+    walk, folder = make_walk(24), tmp_path / "place" / "walk"
+    write_stray_scanner(folder, walk, per_frame=False)
     (session,) = sessions_in(tmp_path / "place")
-    assert {i.frame.intrinsics.fx for i in session.images if i.frame.intrinsics} == {walk.camera[-1, 0]}
+    assert {image.camera.fx for image in session.images} == {walk.camera[-1, 0]}
     assert "last frame" in session.recording.notes[0]
-
-
-def test_video_that_starts_elsewhere_is_not_joined_silently(tmp_path: Path) -> None:
-    walk = make_walk(24)
-    folder = tmp_path / "place" / "walk"
-    write_stray_scanner(folder, walk)
     # One frame fewer at the end is told; frames missing in the middle are refused.
-    write_video(folder / "rgb.mp4", walk, np.arange(23))
+    write_video(folder / "rgb.mp4", walk, range(23))
     assert [r.reason for r in rejects_of(sessions_in(tmp_path / "place"))] == ["video ends before this frame"]
     header, *rows = (folder / "odometry.csv").read_text().splitlines()
     numbered = [row.split(", ") for row in rows[:4] + rows[12:]]
@@ -176,16 +174,6 @@ def test_video_that_starts_elsewhere_is_not_joined_silently(tmp_path: Path) -> N
     (folder / "odometry.csv").write_text("\n".join([header, *rows]))
     with pytest.raises(UserError, match="can't be joined"):
         sessions_in(tmp_path / "place")
-
-
-def test_record3d_archive_is_read_like_its_folder(tmp_path: Path) -> None:
-    walk = make_walk(24)
-    write_record3d(tmp_path / "place" / "walk", walk, archive=True)
-    found = find_one(tmp_path / "place")
-    assert found.recording_id == "walk" and found.format.id == "record3d"
-    (session,) = sessions_in(tmp_path / "place")
-    np.testing.assert_allclose(session.poses, walk.vio_T_cam, atol=1e-9)
-    assert len(session.images) == 12
 
 
 def test_public_data_sets_keep_their_split_and_have_no_vio(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import re
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +19,6 @@ from groundwalk.capture_import.capture import Intrinsics, Limits, Recording
 from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.colmap import _Camera, _intrinsics
-from groundwalk.geometry.poses import inverse
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.tables import poses_of
 from tests.capture_import.capture_writers import Walk, make_walk, write_colmap, write_nerf_capture, write_nerfstudio
@@ -55,17 +55,37 @@ def project(camera: Intrinsics, xyz: np.ndarray) -> np.ndarray:
     return np.stack([camera.fx * u + camera.cx, camera.fy * v + camera.cy], axis=1)
 
 
+def rewritten(walk: Path, text: bool = False) -> pycolmap.Reconstruction:
+    """The walk's COLMAP model, of which nothing but cameras, images and points is left."""
+    folder = walk / "sparse" / "0"
+    model = pycolmap.Reconstruction(folder)
+    for file in folder.iterdir():
+        file.unlink()
+    (model.write_text if text else model.write_binary)(folder)
+    return model
+
+
 def write_with_camera(tmp_path: Path, model: str, params: list[float], text: bool = False) -> pycolmap.Camera:
     """A walk as a COLMAP model whose first camera is as stated."""
     write_colmap(tmp_path / "walk", make_walk(4))
     camera = pycolmap.Camera(camera_id=1, model=model, width=96, height=72, params=params)
-    folder = tmp_path / "walk" / "sparse" / "0"
-    written = pycolmap.Reconstruction(folder)
+    written = rewritten(tmp_path / "walk")
     written.camera(1).model, written.camera(1).params = camera.model, params
-    for file in folder.iterdir():
-        file.unlink()
-    (written.write_text if text else written.write_binary)(folder)
+    written.write_binary(tmp_path / "walk" / "sparse" / "0")
+    rewritten(tmp_path / "walk", text)
     return camera
+
+
+def changed(tmp_path: Path, walk: Walk, change: Callable[[dict[str, Any]], object]) -> Recording:
+    """The only recording of a walk as nerfstudio has it, whose transforms.json was changed."""
+    if not (tmp_path / "walk").exists():
+        write_nerfstudio(tmp_path / "walk", walk)
+    file = tmp_path / "walk" / "transforms.json"
+    content = json.loads(file.read_text())
+    change(content)
+    file.write_text(json.dumps(content))
+    (recording,) = read_all(tmp_path)
+    return recording
 
 
 @pytest.mark.parametrize("model", DISTORTED | FISHEYE)
@@ -102,11 +122,7 @@ def test_cameras_that_cannot_be_used_are_left_out_by_name(
 @pytest.mark.parametrize("suffix", [".bin", ".txt"])
 def test_a_model_beyond_the_limits_is_refused(tmp_path: Path, suffix: str) -> None:
     write_colmap(tmp_path / "walk", make_walk(8))
-    folder = tmp_path / "walk" / "sparse" / "0"
-    written = pycolmap.Reconstruction(folder)
-    for file in folder.iterdir():
-        file.unlink()
-    (written.write_text if suffix == ".txt" else written.write_binary)(folder)
+    written = rewritten(tmp_path / "walk", text=suffix == ".txt")
     (found,) = find_recordings(tmp_path, tmp_path.parent / "unpacked", Limits())
     count = len(written.images)
     assert len(found.read(Limits(max_rows=count)).frames) == count
@@ -114,20 +130,13 @@ def test_a_model_beyond_the_limits_is_refused(tmp_path: Path, suffix: str) -> No
         found.read(Limits(max_rows=count - 1))
 
 
-def test_points_that_end_beyond_the_file_are_refused(tmp_path: Path) -> None:
+def test_points_that_end_beyond_the_file_and_a_wrong_number_of_parameters_are_refused(tmp_path: Path) -> None:
     write_colmap(tmp_path / "walk", make_walk(4))
-    folder = tmp_path / "walk" / "sparse" / "0"
-    written = pycolmap.Reconstruction(folder)
-    for file in folder.iterdir():
-        file.unlink()
-    written.write_binary(folder)
-    images = folder / "images.bin"
+    rewritten(tmp_path / "walk")
+    images = tmp_path / "walk" / "sparse" / "0" / "images.bin"
     images.write_bytes(images.read_bytes()[:-1])
     with pytest.raises(UserError, match="points of"):
         read_all(tmp_path)
-
-
-def test_a_wrong_number_of_parameters_is_refused() -> None:
     with pytest.raises(ValueError, match="4 parameters, not 8"):
         _intrinsics(_Camera("OPENCV", 96, 72, (80.0, 80.0, 48.0, 36.0)))
 
@@ -145,33 +154,24 @@ def test_any_bytes_end_in_a_message(data: bytes) -> None:
 
 
 def test_nerfstudio_intrinsics_are_those_stated(tmp_path: Path) -> None:
-    write_nerfstudio(tmp_path / "walk", make_walk(4))
-    file = tmp_path / "walk" / "transforms.json"
-    content = json.loads(file.read_text())
-    content |= {"k1": 0.09, "k2": -0.12, "p1": 0.001, "p2": -0.002}
-    content["frames"][0]["k1"] = 0.08  # frames are written last first
-    file.write_text(json.dumps(content))
-    (session,) = read_all(tmp_path)
-    cameras = [frame.intrinsics for frame in session.frames]
-    assert [camera.distortion for camera in cameras if camera] == [
-        (0.09, -0.12, 0.001, -0.002, 0.0),
-        (0.08, -0.12, 0.001, -0.002, 0.0),
-    ]
-    file.write_text(json.dumps(content | {"camera_model": "THIN_PRISM_FISHEYE"}))
+    def state(content: dict[str, Any]) -> None:
+        content |= {"k1": 0.09, "k2": -0.12, "p1": 0.001, "p2": -0.002}
+        content["frames"][0]["k1"] = 0.08  # frames are written last first
+
+    raw = changed(tmp_path, make_walk(4), state)
+    lenses = [(0.09, -0.12, 0.001, -0.002, 0.0), (0.08, -0.12, 0.001, -0.002, 0.0)]
+    assert [there(frame.intrinsics).distortion for frame in raw.frames] == lenses
     with pytest.raises(UserError, match="THIN_PRISM_FISHEYE"):
-        read_all(tmp_path)
+        changed(tmp_path, make_walk(4), lambda content: content.update(camera_model="THIN_PRISM_FISHEYE"))
 
 
 def test_a_fisheye_lens_of_nerfstudio_projects_as_opencvs(tmp_path: Path) -> None:
-    write_nerfstudio(tmp_path / "walk", make_walk(4))
-    file = tmp_path / "walk" / "transforms.json"
-    content = json.loads(file.read_text()) | {"camera_model": "OPENCV_FISHEYE", "k1": 0.03, "k2": -0.01, "k4": 0.001}
-    for frame in content["frames"]:
-        frame |= {"fl_x": 50.0, "fl_y": 51.0}
-    file.write_text(json.dumps(content))
-    (session,) = read_all(tmp_path)
-    camera = session.frames[0].intrinsics
-    assert camera is not None
+    def state(content: dict[str, Any]) -> None:
+        content |= {"camera_model": "OPENCV_FISHEYE", "k1": 0.03, "k2": -0.01, "k4": 0.001}
+        for frame in content["frames"]:
+            frame |= {"fl_x": 50.0, "fl_y": 51.0}
+
+    camera = there(changed(tmp_path, make_walk(4), state).frames[0].intrinsics)
     xyz = np.random.default_rng(0).uniform([-1.2, -0.9, 1], [1.2, 0.9, 2], (50, 3))
     K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
     expected, _ = cv2.fisheye.projectPoints(
@@ -182,19 +182,18 @@ def test_a_fisheye_lens_of_nerfstudio_projects_as_opencvs(tmp_path: Path) -> Non
 
 def test_applied_transform_is_undone(tmp_path: Path) -> None:
     walk = make_walk(4, every=1)
-    write_nerfstudio(tmp_path / "walk", walk)
-    file = tmp_path / "walk" / "transforms.json"
-    content = json.loads(file.read_text())
     # As ns-process-data has it: x and y swapped, z mirrored.
     applied = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
-    for frame in content["frames"]:
-        frame["transform_matrix"] = (applied @ frame["transform_matrix"]).tolist()
-    file.write_text(json.dumps(content | {"applied_transform": applied[:3].tolist()}))
-    (session,) = read_all(tmp_path)
-    np.testing.assert_allclose(np.stack([there(f.vio_T_cam) for f in session.frames]), walk.vio_T_cam, atol=1e-12)
-    file.write_text(json.dumps(content | {"applied_transform": (2 * applied[:3]).tolist()}))
+
+    def apply(content: dict[str, Any]) -> None:
+        for frame in content["frames"]:
+            frame["transform_matrix"] = (applied @ frame["transform_matrix"]).tolist()
+        content["applied_transform"] = applied[:3].tolist()
+
+    raw = changed(tmp_path, walk, apply)
+    np.testing.assert_allclose(np.stack([there(f.vio_T_cam) for f in raw.frames]), walk.vio_T_cam, atol=1e-12)
     with pytest.raises(UserError, match="applied_transform isn't rigid"):
-        read_all(tmp_path)
+        changed(tmp_path, walk, lambda content: content.update(applied_transform=(2 * applied[:3]).tolist()))
 
 
 def test_a_file_with_times_is_a_phone_capture_of_its_own(tmp_path: Path) -> None:
@@ -249,17 +248,6 @@ def test_a_reference_is_no_vio_and_its_unit_is_stated(tmp_path: Path, metric: bo
     assert not len(pd.read_parquet(folder / "vio.parquet"))
 
 
-def test_a_models_pose_is_world_to_camera(tmp_path: Path) -> None:
-    """By pycolmap, which is another reader of the same file."""
-    write_colmap(tmp_path / "walk", make_walk(6))
-    (session,) = read_all(tmp_path)
-    by_name = {i.name: i for i in pycolmap.Reconstruction(tmp_path / "walk/sparse/0").images.values()}
-    for frame in session.frames:
-        assert frame.image is not None
-        expected = np.vstack([by_name[frame.image.path.name].cam_from_world().matrix(), [0, 0, 0, 1]])
-        np.testing.assert_allclose(inverse(there(frame.vio_T_cam)), expected, atol=1e-9)
-
-
 @pytest.mark.parametrize("write", [write_colmap, write_nerfstudio])
 def test_images_that_have_no_pose_are_rejects(tmp_path: Path, write: Callable[[Path, Walk], None]) -> None:
     write(tmp_path / "place", make_walk(6))
@@ -272,26 +260,22 @@ def test_images_that_have_no_pose_are_rejects(tmp_path: Path, write: Callable[[P
 
 
 def test_rows_of_nerfstudio_without_an_image_are_rejects(tmp_path: Path) -> None:
-    write_nerfstudio(tmp_path / "place", make_walk(6))
-    file = tmp_path / "place" / "transforms.json"
-    content = json.loads(file.read_text())
-    content["frames"] += [{"transform_matrix": np.eye(4).tolist()}, 7]
-    file.write_text(json.dumps(content))
-    (raw,) = read_all(tmp_path / "place")
+    nameless = [{"transform_matrix": np.eye(4).tolist()}, 7]
+    raw = changed(tmp_path, make_walk(6), lambda content: content["frames"].extend(nameless))
     assert [r.reason.split(":")[0] for r in raw.rejects] == ["names no image"] * 2
 
 
 @pytest.mark.parametrize("name", ["/home/me/images/{:04d}.jpg", "../other/images/{:04d}.jpg", "images\\{:04d}"])
 def test_images_of_paths_elsewhere_are_found_here_and_a_last_row_may_be_left_out(tmp_path: Path, name: str) -> None:
-    write_nerfstudio(tmp_path / "walk", walk := make_walk(4))
-    file = tmp_path / "walk" / "transforms.json"
-    content = json.loads(file.read_text())
-    for row in content["frames"]:
-        written = tmp_path / "walk" / row["file_path"]
-        image = written.rename(written.with_name(f"{int(written.stem):04d}.jpg"))
-        row.update(file_path=name.format(int(image.stem)), transform_matrix=row["transform_matrix"][:3])
-    file.write_text(json.dumps(content))
-    (raw,) = read_all(tmp_path)
+    walk = make_walk(4)
+
+    def rename(content: dict[str, Any]) -> None:
+        for row in content["frames"]:
+            written = tmp_path / "walk" / row["file_path"]
+            image = written.rename(written.with_name(f"{int(written.stem):04d}.jpg"))
+            row.update(file_path=name.format(int(image.stem)), transform_matrix=row["transform_matrix"][:3])
+
+    raw = changed(tmp_path, walk, rename)
     assert len(raw.frames) == walk.has_image.sum() and not raw.rejects
     poses = np.array([frame.vio_T_cam for frame in raw.frames])
     np.testing.assert_allclose(poses, walk.vio_T_cam[walk.has_image], atol=1e-6)

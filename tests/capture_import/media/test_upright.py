@@ -1,5 +1,6 @@
 """Turning upright keeps every point of the world on its pixel."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -68,28 +69,23 @@ def test_the_first_row_is_where_turns_put_it(
     assert first_row(*size, stated, quarters) == side
 
 
-def test_the_setting_goes_before_what_the_capture_states(tmp_path: Path) -> None:
-    folder = tmp_path / "captures" / "place" / "walk"
-    write_frames_jsonl(folder, make_walk(8))
-    log = folder / "frames.jsonl"
-    log.write_text(log.read_text().replace('"groundwalk"', '"first_row": "bottom", "groundwalk"', 1))
-    for settings, side in (([], "bottom"), (["first_row='left'"], "left"), (["upright=true"], "bottom")):
-        frames = pd.read_parquet(execute(STAGE, "place", "tiny", DataRoot(tmp_path), settings) / "frames.parquet")
-        assert set(frames["first_row"]) == {side} and frames["stated_readout_s"].isna().all()
-    log.write_text(log.read_text().replace('"bottom"', '"down"', 1))
-    with pytest.raises(UserError, match="first_row"):
-        execute(STAGE, "place", "tiny", DataRoot(tmp_path))
-
-
-def test_a_stated_readout_time_is_in_frames_and_an_absurd_one_is_refused(tmp_path: Path) -> None:
+def test_what_a_capture_states_of_its_shutter_is_in_frames_and_an_absurd_readout_is_refused(tmp_path: Path) -> None:
     folder = tmp_path / "captures" / "place" / "walk"
     write_frames_jsonl(folder, make_walk(8))
     log = folder / "frames.jsonl"
     as_written = log.read_text()
-    log.write_text(as_written.replace('"groundwalk"', '"readout_s": 0.0187, "groundwalk"', 1))
-    frames = pd.read_parquet(execute(STAGE, "place", "tiny", DataRoot(tmp_path)) / "frames.parquet")
-    assert set(frames["stated_readout_s"]) == {0.0187}
-    for wrong in ("18.7", "-0.01", "true", '"20 ms"'):
-        log.write_text(as_written.replace('"groundwalk"', f'"readout_s": {wrong}, "groundwalk"', 1))
+
+    def stated(**members: object) -> None:
+        log.write_text(as_written.replace("{", json.dumps(members)[:-1] + ", ", 1))
+
+    for settings, side in (([], "bottom"), (["first_row='left'"], "left"), (["upright=true"], "bottom")):
+        stated(first_row="bottom", readout_s=0.0187)
+        frames = pd.read_parquet(execute(STAGE, "place", "tiny", DataRoot(tmp_path), settings) / "frames.parquet")
+        assert set(frames["first_row"]) == {side} and set(frames["stated_readout_s"]) == {0.0187}
+    stated(first_row="down")
+    with pytest.raises(UserError, match="first_row"):
+        execute(STAGE, "place", "tiny", DataRoot(tmp_path))
+    for wrong in (18.7, -0.01, True, "20 ms"):
+        stated(readout_s=wrong)
         with pytest.raises(UserError, match="readout_s, seconds, 0 to 0"):
             execute(STAGE, "place", "tiny", DataRoot(tmp_path))

@@ -29,9 +29,12 @@ def packets(path: Path) -> list[tuple[int, int]]:
         return [(p.pos, p.size) for p in container.demux(video=0) if p.size and p.pos is not None]
 
 
+PICTURES = np.array([image(i)[::4, ::4, ::-1] for i in range(200)]).astype(int)
+
+
 def looks_like(rgb: np.ndarray) -> int:
     """The index of the test image that this is."""
-    return int(np.argmin([np.abs(rgb.astype(int) - image(i)[:, :, ::-1]).mean() for i in range(200)]))
+    return int(np.argmin(np.abs(PICTURES - rgb[::4, ::4]).mean(axis=(1, 2, 3))))
 
 
 def test_seeking_gives_the_same_frames_as_decoding_all(tmp_path: Path) -> None:
@@ -45,9 +48,13 @@ def test_seeking_gives_the_same_frames_as_decoding_all(tmp_path: Path) -> None:
         for index, rgb in found.items():
             np.testing.assert_array_equal(rgb, every[index])
     assert [looks_like(every[i]) for i in (0, 73, 199)] == [0, 73, 199]
+    # The plane of brightness holds 16 to 235, the converted image 0 to 255.
+    for _, frame in decode(path, {0, 2}, Limits()):
+        exact = frame.to_ndarray(format="gray").astype(float)
+        np.testing.assert_allclose((gray_pixels(frame).astype(float) - 16) * 255 / 219, exact, atol=2)
 
 
-@pytest.mark.parametrize("lost", [30, 31, 95])
+@pytest.mark.parametrize("lost", [30, 95])
 def test_a_lost_frame_does_not_shift_the_others(tmp_path: Path, lost: int) -> None:
     path = tmp_path / "video.mp4"
     write_long_video(path, 120)
@@ -60,17 +67,6 @@ def test_a_lost_frame_does_not_shift_the_others(tmp_path: Path, lost: int) -> No
     near = range(lost // 10 * 10 - 3, lost // 10 * 10 + 13)
     assert {i: seen for i, seen in found.items() if i not in near and i != seen} == {}
     assert found.keys() >= set(range(lost // 10 * 10 - 3))
-
-
-def test_brightness_is_read_as_the_converter_reads_it(tmp_path: Path) -> None:
-    path = tmp_path / "video.mp4"
-    write_long_video(path, 3)
-    for _, frame in decode(path, {0, 2}, Limits()):
-        exact = frame.to_ndarray(format="gray").astype(float)
-        gray = gray_pixels(frame).astype(float)
-        assert gray.shape == (HEIGHT, WIDTH)
-        # The plane holds 16 to 235, the converted image 0 to 255.
-        np.testing.assert_allclose((gray - 16) * 255 / 219, exact, atol=2)
 
 
 def test_a_log_with_another_number_of_rows_is_refused(tmp_path: Path) -> None:

@@ -7,16 +7,9 @@
 import csv
 from pathlib import Path
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import import parsing
+from groundwalk.capture_import.capture import ImageFile, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.parsing import (
-    inside,
-    lines_of,
-    number,
-    quaternion_pose,
-    read_rows,
-    seconds_to_ns,
-)
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, Tracking
 
@@ -25,25 +18,22 @@ COLUMNS = ["t_s", "image", "fx", "fy", "cx", "cy", "tx", "ty", "tz", "qx", "qy",
 
 def read(path: Path, limits: Limits) -> Recording:
     """A row that can't be read becomes a reject."""
-    header, *lines = lines_of(path / "walk.csv", limits) or [("", "")]
+    header, *lines = parsing.lines_of(path / "walk.csv", limits) or [("", "")]
     if header[1].split(",") != COLUMNS:
         raise UserError("walk.csv has other columns", where=path, expected=",".join(COLUMNS), found=header[1])
 
-    def read_row(index: int, source: str, line: str) -> RawFrame:
+    def read_row(_: int, line: str) -> RawFrame:
         row = dict(zip(COLUMNS, next(csv.reader([line])), strict=False))
+        position, xyzw = ([parsing.number(row, key) for key in keys] for keys in (COLUMNS[6:9], COLUMNS[9:]))
         return RawFrame(
-            number=index,
-            source=source,
-            t_ns=seconds_to_ns(number(row, "t_s")),
-            vio_T_cam=quaternion_pose(
-                [number(row, f"t{axis}") for axis in "xyz"], [number(row, f"q{axis}") for axis in "xyzw"]
-            ),
-            image=ImageFile(inside(path, row["image"])),
-            intrinsics=Intrinsics.of(number(row, name) for name in ("fx", "fy", "cx", "cy")),
+            t_ns=parsing.seconds_to_ns(parsing.number(row, "t_s")),
+            vio_T_cam=parsing.quaternion_pose(position, xyzw),
+            image=ImageFile(parsing.inside(path, row["image"])),
+            intrinsics=parsing.intrinsics(row),
             tracking=Tracking.NORMAL,
         )
 
-    frames, rejects = read_rows(lines, read_row)
+    frames, rejects = parsing.read_rows(lines, read_row)
     return Recording("unknown", Clock.BOOT, path, frames, rejects)
 
 
