@@ -1,6 +1,7 @@
 """`python -m groundwalk.export`: ground truth as other tools read it, or a regressor as a phone runs it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Annotated
 import pandas as pd
 import typer
 
-from groundwalk.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number
+from groundwalk.export.dataset import JPEG_QUALITY, Dataset, load_dataset, number
 from groundwalk.export.exporters import EXPORTERS, MODEL_EXPORTERS
 from groundwalk.store import DataRoot, UserError, progress
 from groundwalk.store.cli import DataOption, ProfileOption
@@ -26,10 +27,9 @@ _READ_FOR_MODEL = ("import", "align", "train", "fuse")
 
 def _format_id(name: str) -> str:
     """The id of an exporter; as a wrong choice among options where there is none."""
-    if name in EXPORTERS or name in EXPORTERS.problems:
-        return EXPORTERS.known(name)
-    if name in MODEL_EXPORTERS or name in MODEL_EXPORTERS.problems:
-        return MODEL_EXPORTERS.known(name)
+    for exporters in (EXPORTERS, MODEL_EXPORTERS):
+        if name in exporters or name in exporters.problems:
+            return exporters.known(name)
     raise typer.BadParameter(f"{name!r} is not one of {', '.join([*EXPORTERS, *MODEL_EXPORTERS])}")
 
 
@@ -93,20 +93,26 @@ def export(
         dataset = load_dataset(root, profile, scene, reads_images=reads_images)
         dataset = replace(dataset, licence=licence, citation=citation)
         about = {"scene": scene, "profile": profile, "format": name, "licence": licence, "citation": citation}
-
-        def refuse_any_changed() -> None:
+        exporter = EXPORTERS.find(name)
+        if exporter.distortion_coefficients is not None:
+            dataset = dataset.without_distortion(exporter.distortion_coefficients)
+        with _export_folder(out, _NOTE, force=force) as folder:
+            with EXPORTERS.guard(name):
+                placed = exporter.write(dataset, folder, images.value)
+                if not isinstance(placed, list) or len(placed) != len(dataset.frames):
+                    returned = f"{len(placed)} paths" if isinstance(placed, list) else f"a {type(placed).__name__}"
+                    raise ValueError(f"write returned {returned}, expected a list of {len(dataset.frames)} image paths")
+            _write_lists(dataset, placed, folder, about | {"images": images.value})
             refuse_changed()
             if reads_images:
                 verify_images(root.captures(scene), root.run(profile, scene, "import"))
-
-        undistorted = write_export(dataset, name, out, images.value, about, refuse_any_changed, force=force)
     excluded = len(dataset.excluded)
     progress.console.print(
         f"{scene} as {name}: {len(dataset.frames)} frames"
         f"{f', {excluded} without ground truth excluded (see {_FRAMES})' if excluded else ''} → {out}",
         markup=False,
     )
-    if undistorted:
+    if undistorted := dataset.undistorted:
         progress.console.print(
             f"  {name} can't hold lens distortion: {undistorted} images undistorted, as those of pinholes"
             f"{f', written as PNG or as JPEG of quality {JPEG_QUALITY}' if images is not ImagesOption.none else ''}",
@@ -129,88 +135,53 @@ def _export_model(
 ) -> None:
     from groundwalk.export.regressor import load_regressor  # PyTorch, which ground truth doesn't need
 
-    exporter, out = MODEL_EXPORTERS.find(name), out.absolute()
-    refuse_to_overwrite(out, "exports", exporter.note, "format", force=force)
-    regressor = load_regressor(data, profile, scene, model)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with fresh_folder(out) as folder, MODEL_EXPORTERS.guard(name):
+    exporter = MODEL_EXPORTERS.find(name)
+    with _export_folder(out, exporter.note, force=force) as folder:
+        regressor = load_regressor(data, profile, scene, model)
+        with MODEL_EXPORTERS.guard(name):
             said = exporter.write(regressor, folder)
-            refuse_changed()
-    except OSError as error:
-        raise _not_written(error, out) from None
-    progress.console.print(f"{model} of {scene} as {name} → {out}")
-    for line in said:
-        progress.console.print(f"  {line}")
+        refuse_changed()
     if regressor.simulated:
-        progress.console.print(f"  the captures are simulated, and {exporter.note} says so")
+        said = [*said, f"the captures are simulated, and {exporter.note} says so"]
+    for line in (f"{model} of {scene} as {name} → {out.absolute()}", *(f"  {line}" for line in said)):
+        progress.console.print(line)
 
 
-def write_export(
-    dataset: Dataset,
-    format_name: str,
-    out: Path,
-    images: Images,
-    about: dict[str, str],
-    refuse_changed: Callable[[], None],
-    *,
-    force: bool,
-) -> int:
-    """Write an export to the folder `out`, which appears when it is whole; returns how many images were undistorted.
-
-    Raises UserError where `out` has files; with `force` an earlier export in it is replaced, never anything else.
-    `refuse_changed` is called before it appears, and raises UserError where what was exported isn't there any more.
-    """
+@contextmanager
+def _export_folder(out: Path, note: str, *, force: bool) -> Iterator[Path]:
+    """A folder that becomes `out` when the export is whole. UserError where that has files; with `force` an earlier
+    export in it, which `note` tells, is replaced, never anything else."""
     out = out.absolute()
-    refuse_to_overwrite(out, "exports", _NOTE, "format", force=force)
-    exporter = EXPORTERS.find(format_name)
-    if exporter.distortion_coefficients is not None:
-        dataset = dataset.without_distortion(exporter.distortion_coefficients)
+    refuse_to_overwrite(out, "exports", note, "format", force=force)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with fresh_folder(out) as folder:
-            with EXPORTERS.guard(format_name):
-                placed = exporter.write(dataset, folder, images)
-                if not isinstance(placed, list) or len(placed) != len(dataset.frames):
-                    returned = f"{len(placed)} paths" if isinstance(placed, list) else f"a {type(placed).__name__}"
-                    raise ValueError(f"write returned {returned}, expected a list of {len(dataset.frames)} image paths")
-            all_frames = _all_frames(dataset, placed)
-            all_frames.to_csv(folder / _FRAMES, index=False)
-            write_json(
-                folder / _NOTE,
-                {
-                    **about,
-                    "simulated": dataset.simulated,
-                    "images": images,
-                    "undistorted_images": dataset.undistorted,
-                    "jpeg_quality": JPEG_QUALITY if dataset.undistorted else None,
-                    "frames": len(dataset.frames),
-                    "excluded": len(dataset.excluded),
-                    "by_split": dataset.frames["split"].value_counts().sort_index().to_dict(),
-                    "by_quality": dataset.frames["quality"].value_counts().sort_index().to_dict(),
-                    "map_origin": dataset.origin,
-                    "map": f"{dataset.world} before any turn that the format asks for",
-                    "files": file_names(folder),
-                },
-            )
-            refuse_changed()
-        return dataset.undistorted
+            yield folder
     except OSError as error:
-        raise _not_written(error, out) from None
+        # An error of a link names first what it leads to.
+        where = error.filename2 or error.filename or out
+        raise UserError("the export can't be written", where=where, found=error.strerror) from None
 
 
-def _not_written(error: OSError, out: Path) -> UserError:
-    # An error of a link names first what it leads to.
-    return UserError(
-        "the export can't be written", where=error.filename2 or error.filename or out, found=error.strerror
-    )
-
-
-def _all_frames(dataset: Dataset, placed: list[str]) -> pd.DataFrame:
-    """All frames, exported ones with their images and these images' cameras."""
+def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[str, str]) -> None:
+    """Write what the export is, and the list of all frames: exported ones with their images and these' cameras."""
     columns = ["frame_id", "session_id", "split", "t_ns", "clock", "quality", "reason"]
     frames = dataset.frames
     exported = frames[columns].assign(image=placed, **{n: frames[n] for n in ("width", "height", *CAMERA_COLUMNS[:4])})
     exported["distortion"] = [" ".join(map(number, coefficients)) for coefficients in frames["distortion"]]
-    frames = pd.concat([exported, dataset.excluded[columns].assign(image="")]).sort_values("frame_id")
-    return frames.astype({"width": "Int64", "height": "Int64"})
+    listed = pd.concat([exported, dataset.excluded[columns].assign(image="")]).sort_values("frame_id")
+    listed.astype({"width": "Int64", "height": "Int64"}).to_csv(folder / _FRAMES, index=False)
+    content = {
+        **about,
+        "simulated": dataset.simulated,
+        "undistorted_images": dataset.undistorted,
+        "jpeg_quality": JPEG_QUALITY if dataset.undistorted else None,
+        "frames": len(frames),
+        "excluded": len(dataset.excluded),
+        "by_split": frames["split"].value_counts().sort_index().to_dict(),
+        "by_quality": frames["quality"].value_counts().sort_index().to_dict(),
+        "map_origin": dataset.origin,
+        "map": f"{dataset.world} before any turn that the format asks for",
+        "files": file_names(folder),
+    }
+    write_json(folder / _NOTE, content)

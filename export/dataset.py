@@ -17,7 +17,7 @@ from groundwalk.store import DataRoot, UserError
 from groundwalk.store.choices import MapUnit, QualityClass, VerticalSource
 from groundwalk.store.hints import run_command
 from groundwalk.store.images import image_file, verify_images
-from groundwalk.store.manifests import MANIFEST, load_verified
+from groundwalk.store.manifests import MANIFEST, load_verified, missing_stage
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import (
     CAMERA_COLUMNS,
@@ -72,14 +72,12 @@ class ImageSource:
         if not self.file.is_file():
             raise UserError("an image is missing", where=self.file, do="import the scene again")
         target.parent.mkdir(parents=True, exist_ok=True)
-        if self.undistorted is not None or (target.suffix != self.file.suffix and target.suffix == ".png"):
-            self._write(target)
-        elif images == "link":
-            target.symlink_to(self.file.resolve())
-        else:
-            shutil.copyfile(self.file, target)
-
-    def _write(self, target: Path) -> None:
+        if self.undistorted is None and (target.suffix == self.file.suffix or target.suffix != ".png"):
+            if images == "link":
+                target.symlink_to(self.file.resolve())
+            else:
+                shutil.copyfile(self.file, target)
+            return
         # As stored: a viewer's turn isn't applied, since the intrinsics are the sensor's.
         pixels = cv2.imread(str(self.file), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
         if pixels is None:
@@ -88,9 +86,8 @@ class ImageSource:
             try:
                 pixels = undistorted_image(np.asarray(pixels, np.uint8), *self.undistorted)
             except GeometryError as error:
-                raise UserError(
-                    "an image can't be undistorted", where=self.file, found=error, do="import the scene again"
-                ) from None
+                do = "import the scene again"
+                raise UserError("an image can't be undistorted", where=self.file, found=error, do=do) from None
         options = [] if target.suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
         if not cv2.imwrite(str(target), pixels, options):
             raise UserError("an image can't be written", where=target)
@@ -156,8 +153,11 @@ class Dataset:
         for row, camera in enumerate(cameras):
             if len(np.trim_zeros(camera.distortion, "b")) <= max_coefficients:
                 continue
-            if _lens_shift_px(camera) <= _MAX_SHIFT_PX:
-                cameras[row] = replace(camera, distortion=())
+            pinhole = replace(camera, distortion=())
+            corners = np.array([[x, y] for x in (0, camera.width) for y in (0, camera.height)], dtype=float)
+            shifts_px = np.linalg.norm(camera.project(pinhole.unproject(corners)) - corners, axis=1)
+            if shifts_px.max() <= _MAX_SHIFT_PX:
+                cameras[row] = pinhole
                 continue
             try:
                 cameras[row] = pinhole_within(camera)
@@ -191,26 +191,14 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
     Raises UserError where one is missing, where align wasn't made from this sfm, where no frame has ground truth, or,
     for an export with images, where one of them isn't as import saw it.
     """
-    folders = {stage: root.run(profile, scene, stage) for stage in ("import", "sfm", "align")}
-    for stage, folder in folders.items():
-        if not (folder / MANIFEST).is_file():
-            raise UserError(
-                f"stage {stage} of scene {scene} hasn't been run", where=folder, do=run_command(folders["align"])
-            )
-    manifests = {stage: load_verified(folder) for stage, folder in folders.items()}
-    for stage in ("import", "sfm"):
-        used = manifests["align"].get("inputs", {}).get(f"{scene}/{stage}")
-        if used != manifests[stage]["outputs"]:
-            raise UserError(
-                f"the ground truth was made from another run of stage {stage}",
-                where=folders["align"],
-                do=run_command(folders["align"]),
-            )
+    align, aligned = read_finished(root, profile, scene, "align")
+    imported, import_manifest = read_finished(root, profile, scene, "import", aligned)
+    sfm, _ = read_finished(root, profile, scene, "sfm", aligned)
     if reads_images:
-        verify_images(root.captures(scene), folders["import"])
-    ground_truth = read_table(folders["align"] / "ground_truth.parquet", schema("align", "ground_truth"))
-    images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
-    frames = dataset_frames(read_table(folders["import"] / "frames.parquet", schema("import", "frames"))).merge(
+        verify_images(root.captures(scene), imported)
+    ground_truth = read_table(align / "ground_truth.parquet", schema("align", "ground_truth"))
+    images = read_table(sfm / "images.parquet", schema("sfm", "images"))
+    frames = dataset_frames(read_table(imported / "frames.parquet", schema("import", "frames"))).merge(
         ground_truth[_OF_GROUND_TRUTH],
         on="frame_id",
         validate="one_to_one",
@@ -218,48 +206,49 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
     frames = with_cameras(frames, ground_truth)
     has_pose = (frames["quality"] != QualityClass.NONE).to_numpy()
     if not has_pose.any():
-        raise UserError("nothing to export: no frame has ground truth", where=folders["align"])
-    map_T_cam = poses_of(ground_truth.set_index("frame_id").loc[frames["frame_id"]], "map_cam")[has_pose]
-    sfm_T_cam = poses_of(images.set_index("frame_id").loc[frames["frame_id"]], "sfm_cam")[has_pose]
-    component = frames.loc[has_pose, "component"].to_numpy(int)
-    ids = frames.loc[has_pose, "frame_id"].to_numpy(str)
+        raise UserError("nothing to export: no frame has ground truth", where=align)
+    ids = frames.loc[has_pose, "frame_id"]
+    map_T_cam = poses_of(ground_truth.set_index("frame_id").loc[ids], "map_cam")
+    of_sfm = images.set_index("frame_id").loc[ids]
+    sfm_T_cam = poses_of(of_sfm, "sfm_cam")
     # Components are numbered by their frames, COLMAP's folders by the size of what was mapped: the same in most runs.
-    models = read_table(folders["sfm"] / "models.parquet", schema("sfm", "models")).set_index("model_id")["folder"]
-    folder_of = images.set_index("frame_id").loc[ids, "model_id"].map(models).to_numpy()
+    folder_of = read_table(sfm / "models.parquet", schema("sfm", "models")).set_index("model_id")["folder"]
+    models, component = [], frames.loc[has_pose, "component"].to_numpy(int)
+    for rows in (np.flatnonzero(component == index) for index in np.unique(component)):
+        folder = sfm / folder_of[of_sfm["model_id"].iloc[rows[0]]]
+        models.append(SfmModel(folder, ids.iloc[rows].tolist(), similarity_of_poses(map_T_cam[rows], sfm_T_cam[rows])))
+    captures = root.captures(scene)
+    x, y, z = (aligned["figures"].get(f"map_origin_{axis}") for axis in "xyz")
     return Dataset(
         frames[has_pose].reset_index(drop=True),
         frames[~has_pose].reset_index(drop=True),
         map_T_cam,
-        [
-            ImageSource(image_file(image, root.captures(scene), folders["import"]))
-            for image in frames.loc[has_pose, "image"]
-        ],
-        [
-            SfmModel(
-                folders["sfm"] / folder_of[component == index][0],
-                ids[component == index].tolist(),
-                similarity_of_poses(map_T_cam[component == index], sfm_T_cam[component == index]),
-            )
-            for index in np.unique(component).tolist()
-        ],
-        bool(manifests["align"]["simulated"]),
-        _origin(manifests["align"]["figures"]),
+        [ImageSource(image_file(image, captures, imported)) for image in frames.loc[has_pose, "image"]],
+        models,
+        bool(aligned["simulated"]),
+        None if x is None or y is None or z is None else (x, y, z),
         scene,
-        read_table(folders["import"] / "sessions.parquet", schema("import", "sessions")),
-        str(manifests["import"].get("figures", {}).get("split", "")),
+        read_table(imported / "sessions.parquet", schema("import", "sessions")),
+        str(import_manifest.get("figures", {}).get("split", "")),
     )
 
 
-def _origin(figures: dict[str, Any]) -> tuple[float, float, float] | None:
-    x, y, z = (figures.get(f"map_origin_{axis}") for axis in "xyz")
-    return None if x is None or y is None or z is None else (x, y, z)
-
-
-def _lens_shift_px(camera: Camera) -> float:
-    """How far a camera's lens moves the corners of its image, at most."""
-    corners = np.array([[x, y] for x in (0, camera.width) for y in (0, camera.height)], dtype=float)
-    ideal = replace(camera, distortion=()).unproject(corners)
-    return float(np.linalg.norm(camera.project(ideal) - corners, axis=1).max())
+def read_finished(
+    root: DataRoot, profile: str, scene: str, stage: str, reader: dict[str, Any] | None = None
+) -> tuple[Path, dict[str, Any]]:
+    """Folder and verified manifest of a finished stage; UserError where it hasn't been run, or is another run than the
+    one that a later stage, whose manifest is `reader`, was made from."""
+    folder = root.run(profile, scene, stage)
+    if not (folder / MANIFEST).is_file():
+        raise missing_stage(folder, stage, scene)
+    manifest = load_verified(folder)
+    if (
+        reader is not None
+        and reader.get("inputs", {}).get(f"{scene}/{stage}", manifest["outputs"]) != manifest["outputs"]
+    ):
+        later = root.run(profile, scene, str(reader.get("stage")))
+        raise UserError(f"stage {later.name} read another run of stage {stage}", where=later, do=run_command(later))
+    return folder, manifest
 
 
 def number(value: float) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from groundwalk.export.dataset import Dataset, Images
+from groundwalk.export.dataset import Dataset, Images, ImageSource
 from groundwalk.export.dataset_card import card, croissant
 from groundwalk.geometry.poses import tq_from_pose
 from groundwalk.store import UserError
@@ -72,8 +72,12 @@ def write_huggingface(dataset: Dataset, folder: Path, images: Images) -> list[st
         path = f"data/{name}-00000-of-00001.parquet"
         files[path] = len(rows)
         with pq.ParquetWriter(folder / path, fields) as writer:
-            for part in np.array_split(rows, -(-len(rows) // _ROWS)):
-                writer.write_table(_part(dataset, columns, part, fields))
+            for some in np.array_split(rows, -(-len(rows) // _ROWS)):
+                part = columns.take(pa.array(some))
+                if images != "none":
+                    encoded = [_encoded(dataset.images[row], dataset.frames["frame_id"].iloc[row]) for row in some]
+                    part = part.append_column(fields.field("image"), pa.array(encoded, fields.field("image").type))
+                writer.write_table(part.cast(fields))
         if images != "none":
             for row in rows:
                 placed[row] = path
@@ -83,18 +87,10 @@ def write_huggingface(dataset: Dataset, folder: Path, images: Images) -> list[st
     return placed
 
 
-def _part(dataset: Dataset, columns: pa.Table, rows: np.ndarray, fields: pa.Schema) -> pa.Table:
-    """Rows of the table, with their images' files where the schema has them."""
-    part = columns.take(pa.array(rows))
-    if "image" in fields.names:
-        sources = [dataset.images[row] for row in rows]
-        if missing := [source.file for source in sources if not source.file.is_file()]:
-            raise UserError("an image is missing", where=missing[0], do="import the scene again")
-        ids = dataset.frames["frame_id"].iloc[rows]
-        names = [f"{frame_id}{source.suffix}" for frame_id, source in zip(ids, sources, strict=True)]
-        encoded = [{"bytes": s.file.read_bytes(), "path": name} for s, name in zip(sources, names, strict=True)]
-        part = part.append_column(fields.field("image"), pa.array(encoded, fields.field("image").type))
-    return part.cast(fields)
+def _encoded(source: ImageSource, frame_id: str) -> dict[str, bytes | str]:
+    if not source.file.is_file():
+        raise UserError("an image is missing", where=source.file, do="import the scene again")
+    return {"bytes": source.file.read_bytes(), "path": f"{frame_id}{source.suffix}"}
 
 
 def _feature(field: pa.Field) -> dict[str, Any]:

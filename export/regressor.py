@@ -1,19 +1,17 @@
 """What a model exporter is given: a trained regressor with the frames that it was trained and tested on."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.export.dataset import world_of
+from groundwalk.export.dataset import read_finished, world_of
 from groundwalk.geometry import Array
 from groundwalk.store import DataRoot, UserError
-from groundwalk.store.hints import run_command, scene_file, setting_of
+from groundwalk.store.hints import scene_file, setting_of
 from groundwalk.store.images import image_file, verify_images
-from groundwalk.store.manifests import MANIFEST, load_verified, missing_stage
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import dataset_frames, poses_of, read_table, with_cameras, with_gravity_of_map
 from groundwalk.training.build import Trained, load_trained
@@ -53,8 +51,7 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
     UserError where the stage hasn't been run, is damaged or was made from other frames or images than are there, and
     where it has no such regressor, or only imported predictions of it.
     """
-    folder = _finished(data, profile, scene, "train")
-    manifest = load_verified(folder)
+    folder, manifest = read_finished(data, profile, scene, "train")
     cards = read_table(folder / "models.parquet", schema("train", "models"))
     if model not in set(cards["model"]):
         raise UserError(
@@ -95,29 +92,15 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
 
 def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> tuple[pd.DataFrame, str]:
     """A scene's frames with their files, cameras and ground truth, and unit and axes of its map."""
-    folders = {stage: _finished(data, profile, scene, stage) for stage in ("import", "align")}
-    for stage, folder in folders.items():
-        used = train.get("inputs", {}).get(f"{scene}/{stage}")
-        if used is not None and used != load_verified(folder)["outputs"]:
-            raise UserError(
-                f"the regressors were trained on another run of stage {stage}",
-                where=folder,
-                do=run_command(data.run(profile, scene, "train")),
-            )
-    frames = dataset_frames(read_table(folders["import"] / "frames.parquet", schema("import", "frames")))
-    truth = read_table(folders["align"] / "ground_truth.parquet", schema("align", "ground_truth"))
+    imported, _ = read_finished(data, profile, scene, "import", train)
+    aligned, _ = read_finished(data, profile, scene, "align", train)
+    frames = dataset_frames(read_table(imported / "frames.parquet", schema("import", "frames")))
+    truth = read_table(aligned / "ground_truth.parquet", schema("align", "ground_truth"))
     poses = [str(c) for c in truth if str(c).startswith("map_cam_")]
     stated = frames["fx"].to_numpy()
     frames = with_gravity_of_map(frames, truth)
     frames = with_cameras(frames, truth).merge(truth[["frame_id", *poses]], on="frame_id", validate="1:1")
     captures = data.captures(scene)
-    verify_images(captures, folders["import"])
-    files = [image_file(image, captures, folders["import"]) for image in frames["image"]]
+    verify_images(captures, imported)
+    files = [image_file(image, captures, imported) for image in frames["image"]]
     return frames.assign(scene=scene, file=pd.Series(files, dtype=object), stated_fx=stated), world_of(truth)
-
-
-def _finished(data: DataRoot, profile: str, scene: str, stage: str) -> Path:
-    folder = data.run(profile, scene, stage)
-    if not (folder / MANIFEST).is_file():
-        raise missing_stage(folder, stage, scene)
-    return folder

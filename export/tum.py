@@ -5,6 +5,7 @@ have clocks of their own, so each is a sequence of its own. The world is the map
 phone took them, as this benchmark's own are: its tools are given intrinsics and distortion apart from a sequence.
 """
 
+from decimal import Decimal
 from pathlib import Path
 from urllib.parse import quote
 
@@ -18,7 +19,8 @@ def write_tum(dataset: Dataset, folder: Path, images: Images) -> list[str]:
     """Write the layout; returns the frames' image paths."""
     frames = dataset.frames
     position, quaternion = tq_from_pose(dataset.map_T_cam)
-    seconds = [_seconds(int(t_ns)) for t_ns in frames["t_ns"]]
+    # Nine decimals of nanoseconds, which a float would round.
+    seconds = [f"{Decimal(int(t_ns)).scaleb(-9):.9f}" for t_ns in frames["t_ns"]]
     placed = [""] * len(frames)
     for session_id in frames["session_id"].unique():
         name = quote(session_id, safe="")
@@ -36,9 +38,3 @@ def write_tum(dataset: Dataset, folder: Path, images: Images) -> list[str]:
         for file, lines in (("groundtruth.txt", poses), ("rgb.txt", listed)):
             (folder / name / file).write_text("\n".join(lines) + "\n", encoding="utf-8")
     return placed
-
-
-def _seconds(t_ns: int) -> str:
-    """Nanoseconds as seconds with nine decimals; a float would round them."""
-    whole, rest = divmod(abs(t_ns), 10**9)
-    return f"{'-' if t_ns < 0 else ''}{whole}.{rest:09d}"

@@ -38,7 +38,12 @@ def write_bundle(regressor: TrainedRegressor, folder: Path) -> list[str]:
     _check_as_trained(inputs, fp32)
     calibration = [inputs.tensor(row) for row in inputs.spread("train", _CALIBRATION)]
     progress.console.print("quantising: measuring which parts gain by it")
-    quantised = write_int8(fp32, int8, calibration, _held_out(inputs))
+    # Frames that the network wasn't trained on, with some that it was where these are few.
+    rows = inputs.spread("val", _HELD_OUT)
+    rows += inputs.spread("train", _HELD_OUT - len(rows)) if len(rows) < _MIN_HELD_OUT else []
+    quaternion = quaternion_from_matrix(np.array([inputs.seen(row) for row in rows]))
+    held_out = HeldOut([inputs.tensor(row) for row in rows], regressor.map_T_cam[rows, :3, 3], quaternion)
+    quantised = write_int8(fp32, int8, calibration, held_out)
     networks = {name: file for name, file in (("fp32", fp32), ("int8", int8)) if file.is_file()}
     coreml = write_coreml(regressor.trained, *inputs.input_size, folder)
     errors = _errors(regressor)
@@ -79,15 +84,6 @@ def frame_of(regressor: TrainedRegressor) -> dict[str, Any]:
         "arkit_camera": "x right, y up, z backward: multiply map_T_cam from the right by diag(1, -1, -1, 1)",
         "covariance": "of (rotation, position) in the map's axes, rad and m, 6x6 row-major",
     }
-
-
-def _held_out(inputs: PhoneInputs) -> HeldOut:
-    """Frames that the network wasn't trained on, with some that it was where these are few."""
-    rows = inputs.spread("val", _HELD_OUT)
-    if len(rows) < _MIN_HELD_OUT:
-        rows += inputs.spread("train", _HELD_OUT - len(rows))
-    quaternion = quaternion_from_matrix(np.array([inputs.seen(row) for row in rows]))
-    return HeldOut([inputs.tensor(row) for row in rows], inputs.regressor.map_T_cam[rows, :3, 3], quaternion)
 
 
 def _check_as_trained(inputs: PhoneInputs, fp32: Path) -> None:

@@ -32,12 +32,9 @@ def write_coreml(trained: Trained, height: int, width: int, folder: Path) -> str
         )
         converted.save(str(folder / PACKAGE))
     except Exception as error:  # the converter raises whatever an operation of a plug-in's network leads to
-        return f"no Core ML network: coremltools {coremltools.__version__} can't convert it ({_first_line(error)})"
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        return f"no Core ML network: coremltools {coremltools.__version__} can't convert it ({reason})"
     return ""
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def _sinc(x: Tensor) -> Tensor:
@@ -47,12 +44,8 @@ def _sinc(x: Tensor) -> Tensor:
 
 
 def _cross(a: Tensor, b: Tensor, *, dim: int = -1) -> Tensor:
-    first, second = [1, 2, 0], [2, 0, 1]
-    parts = [
-        a.select(dim, i) * b.select(dim, j) - a.select(dim, j) * b.select(dim, i)
-        for i, j in zip(first, second, strict=True)
-    ]
-    return torch.stack(parts, dim)
+    a0, a1, a2, b0, b1, b2 = (x.select(dim, i) for x in (a, b) for i in range(3))
+    return torch.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], dim)
 
 
 # What the converter doesn't know, in operations that it does.

@@ -29,14 +29,9 @@ def write_golden(
     target.mkdir()
     rows = inputs.spread("test", _QUERIES) or inputs.spread("val", _QUERIES)
     queries = [_query(inputs, row, number, target, networks) for number, row in enumerate(rows)]
-    steps = {
-        step["step"]: _MEAN_NORMALISED if step["step"] == "normalise" else _MEAN_LEVELS for step in queries[0]["steps"]
-    }
-    position_m, rotation_deg = median_error
-    loose = {
-        "position_m": max(_FP32["position_m"], _OF_MEDIAN * position_m),
-        "rotation_deg": max(_FP32["rotation_deg"], _OF_MEDIAN * rotation_deg),
-    }
+    names = [step["step"] for step in queries[0]["steps"]]
+    steps = {name: _MEAN_NORMALISED if name == "normalise" else _MEAN_LEVELS for name in names}
+    loose = {n: max(least, _OF_MEDIAN * error) for (n, least), error in zip(_FP32.items(), median_error, strict=True)}
     limits = {name: _FP32 if name == "fp32" else loose for name in networks}
     write_json(folder / GOLDEN, {"tolerances": {"steps": steps, "networks": limits}, "queries": queries})
 

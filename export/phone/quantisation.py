@@ -30,8 +30,8 @@ MAX_ERROR_RATIO = 1.05
 _SAFE_ERROR_RATIO, _UNSAFE_TIME_FACTOR = 1.02, 1.1
 _FASTER = 0.95  # a group stays in float32 for less than this fraction of the time
 _TIMED_S, _MIN_RUNS, _MAX_RUNS = 2.0, 5, 60
-_PRODUCTS = "Gemm", "MatMul"
-_WITH_WEIGHTS = "Conv", *_PRODUCTS
+_WITH_WEIGHTS = "Conv", "Gemm", "MatMul"
+_GROUPS = {"Gemm": "products", "MatMul": "products", "Add": "sums", "Mul": "gates", "Sigmoid": "gates"}
 _LARGE = 10_000  # weights of a node; fewer take no room
 _BETWEEN = ("Add", "Relu", "Clip", "MaxPool", "GlobalAveragePool", "Flatten", "Reshape", "Mul", "Sigmoid")
 
@@ -80,7 +80,14 @@ def write_int8(fp32: Path, out: Path, calibration: Tensors, held_out: HeldOut) -
     """Write the int8 network of `fp32`, unless it loses too much by it; see the module."""
     with tempfile.TemporaryDirectory(prefix="groundwalk-") as name, quiet():
         folder = Path(name)
-        prepared = _prepared(fp32, folder / "prepared.onnx")
+        prepared = folder / "prepared.onnx"
+        try:
+            from onnxruntime.quantization import quant_pre_process
+        except ImportError as error:
+            do = "pip install 'groundwalk[phone]', or onnx and onnxruntime"
+            raise UserError("exporting needs more packages", found=error, do=do) from None
+        # Batch norms are folded into convolutions, as quantisation wants it.
+        quant_pre_process(fp32, prepared, skip_symbolic_shape=True)
         trials = _Trials(prepared, folder, calibration, held_out)
         best, measured = trials.search()
         if refusal := _refusal(measured, trials.fp32):
@@ -125,31 +132,29 @@ class _Trials:
         return fits or (not other_fits and one.ratio(self.fp32) < other.ratio(self.fp32))
 
     def trial(self, in_float32: tuple[str, ...]) -> Measured:
+        """The network with these groups in float32, made and measured where it hasn't been."""
+        from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
+
         if in_float32 not in self.measured:
-            self._quantise(in_float32)
+            excluded = [*self.never, *(node for group in in_float32 for node in self.groups[group])]
+            quantize_static(
+                self.prepared,
+                self.file(in_float32),
+                _Reader(self.calibration),
+                quant_format=QuantFormat.QDQ,
+                op_types_to_quantize=[*_WITH_WEIGHTS, *_BETWEEN],
+                per_channel=True,
+                activation_type=QuantType.QUInt8,
+                weight_type=QuantType.QInt8,
+                nodes_to_exclude=excluded,
+                calibration_cache_path=self.folder / "ranges.json",
+            )
+            _store_in_int8(self.file(in_float32), excluded)
             self.measured[in_float32] = measure(self.file(in_float32), self.held_out)
         return self.measured[in_float32]
 
     def file(self, in_float32: tuple[str, ...]) -> Path:
         return self.folder / f"int8-{'-'.join(sorted(self.groups.keys() - set(in_float32))).replace(' ', '_')}.onnx"
-
-    def _quantise(self, in_float32: tuple[str, ...]) -> None:
-        from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
-
-        excluded = [*self.never, *(node for group in in_float32 for node in self.groups[group])]
-        quantize_static(
-            self.prepared,
-            self.file(in_float32),
-            _reader(self.calibration),
-            quant_format=QuantFormat.QDQ,
-            op_types_to_quantize=[*_WITH_WEIGHTS, *_BETWEEN],
-            per_channel=True,
-            activation_type=QuantType.QUInt8,
-            weight_type=QuantType.QInt8,
-            nodes_to_exclude=excluded,
-            calibration_cache_path=self.folder / "ranges.json",
-        )
-        _store_in_int8(self.file(in_float32), excluded)
 
 
 def measure(file: Path, held_out: HeldOut) -> Measured:
@@ -166,17 +171,6 @@ def measure(file: Path, held_out: HeldOut) -> Measured:
     return Measured(1e3 * float(np.median(times)), float(distance.mean()), float(angle.mean()))
 
 
-def _prepared(fp32: Path, out: Path) -> Path:
-    """The network with batch norms folded into convolutions, as quantisation wants it."""
-    try:
-        from onnxruntime.quantization import quant_pre_process
-    except ImportError as error:
-        do = "pip install 'groundwalk[phone]', or onnx and onnxruntime"
-        raise UserError("exporting needs more packages", found=error, do=do) from None
-    quant_pre_process(fp32, out, skip_symbolic_shape=True)
-    return out
-
-
 def _groups(file: Path) -> tuple[dict[str, list[str]], list[str]]:
     """Nodes that are decided on together, by what they are; and those that always stay in float32: the last weights and
     what follows, as a position in 255 steps is none, and products without weights, as in attention."""
@@ -184,12 +178,19 @@ def _groups(file: Path) -> tuple[dict[str, list[str]], list[str]]:
 
     graph = onnx.load(file).graph
     weights = {tensor.name: list(tensor.dims) for tensor in graph.initializer}
-    last = _last(graph, weights)
+    makers = {name: node for node in graph.node for name in node.output}
+    weighted = {node.name for node in graph.node if any(name in weights for name in node.input[1:2])}
+    # From the outputs back to the first nodes with weights, these included.
+    names, last = [output.name for output in graph.output], set()
+    while names:
+        node = makers.get(names.pop())
+        if node is not None and node.name not in last:
+            last.add(node.name)
+            names += [] if node.op_type in _WITH_WEIGHTS and node.name in weighted else node.input
     groups: dict[str, list[str]] = {}
     never = []
     for node in graph.node:
-        has_weights = any(name in weights for name in node.input[1:2])
-        if node.name in last or (node.op_type in _WITH_WEIGHTS and not has_weights):
+        if node.name in last or (node.op_type in _WITH_WEIGHTS and node.name not in weighted):
             never.append(node.name)
         elif kind := _kind(node, weights):
             groups.setdefault(kind, []).append(node.name)
@@ -197,28 +198,12 @@ def _groups(file: Path) -> tuple[dict[str, list[str]], list[str]]:
 
 
 def _kind(node: Any, weights: dict[str, list[int]]) -> str:
-    if node.op_type == "Conv":
-        size, (_, inputs, *kernel) = next((a.i for a in node.attribute if a.name == "group"), 1), weights[node.input[1]]
-        if size > 1 and inputs == 1:
-            return "depthwise convolutions"
-        return "1x1 convolutions" if set(kernel) == {1} else "convolutions"
-    if node.op_type in _PRODUCTS:
-        return "products"
-    return {"Add": "sums", "Mul": "gates", "Sigmoid": "gates"}.get(node.op_type, "")
-
-
-def _last(graph: Any, weights: dict[str, list[int]]) -> set[str]:
-    """The nodes behind the outputs up to the first ones with weights, these included."""
-    makers = {name: node for node in graph.node for name in node.output}
-    names, seen = [output.name for output in graph.output], set()
-    while names:
-        node = makers.get(names.pop())
-        if node is None or node.name in seen:
-            continue
-        seen.add(node.name)
-        if not (node.op_type in _WITH_WEIGHTS and any(name in weights for name in node.input[1:2])):
-            names += node.input
-    return seen
+    if node.op_type != "Conv":
+        return _GROUPS.get(node.op_type, "")
+    size, (_, inputs, *kernel) = next((a.i for a in node.attribute if a.name == "group"), 1), weights[node.input[1]]
+    if size > 1 and inputs == 1:
+        return "depthwise convolutions"
+    return "1x1 convolutions" if set(kernel) == {1} else "convolutions"
 
 
 def _store_in_int8(file: Path, nodes: Sequence[str]) -> None:
@@ -252,15 +237,12 @@ def _store_in_int8(file: Path, nodes: Sequence[str]) -> None:
     onnx.save(model, file)
 
 
-def _reader(tensors: Tensors) -> Any:
-    from onnxruntime.quantization import CalibrationDataReader
+class _Reader:
+    """Calibration data as ONNX Runtime asks for it."""
 
-    class Reader(CalibrationDataReader):
-        def __init__(self) -> None:
-            self.rest = iter(tensors)
+    def __init__(self, tensors: Tensors) -> None:
+        self.rest = iter(tensors)
 
-        def get_next(self) -> dict[str, Any] | None:
-            tensor = next(self.rest, None)
-            return None if tensor is None else {"image": tensor}
-
-    return Reader()
+    def get_next(self) -> dict[str, Any] | None:
+        tensor = next(self.rest, None)
+        return None if tensor is None else {"image": tensor}

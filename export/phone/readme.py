@@ -87,16 +87,6 @@ def readme(about: Mapping[str, Any], preprocessing: Preprocessing, errors: Mappi
         if errors
         else ""
     )
-    return _README.format(
-        label=about["label"],
-        written_by=about["written_by"],
-        profile=about["profile"],
-        scenes=scenes,
-        size=size,
-        steps=steps,
-        files=files,
-        simulated=simulated,
-        reduced=reduced,
-        notes=notes,
-        accuracy=accuracy,
-    )
+    texts = {name: about[name] for name in ("label", "written_by", "profile")}
+    parts = {"scenes": scenes, "size": size, "steps": steps, "files": files, "notes": notes}
+    return _README.format(**texts, **parts, simulated=simulated, reduced=reduced, accuracy=accuracy)
