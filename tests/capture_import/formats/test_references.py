@@ -21,7 +21,7 @@ from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.colmap import _Camera, _intrinsics
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.tables import poses_of
-from tests.capture_import.capture_writers import Walk, make_walk, write_colmap, write_nerf_capture, write_nerfstudio
+from tests.capture_import.capture_writers import Walk, make_walk, write_colmap, write_nerfstudio
 from tests.known import there
 
 DISTORTED = {
@@ -196,12 +196,6 @@ def test_applied_transform_is_undone(tmp_path: Path) -> None:
         changed(tmp_path, walk, lambda content: content.update(applied_transform=(2 * applied[:3]).tolist()))
 
 
-def test_a_file_with_times_is_a_phone_capture_of_its_own(tmp_path: Path) -> None:
-    write_nerf_capture(tmp_path / "walk", make_walk(4))
-    (session,) = read_all(tmp_path)
-    assert (session.format, session.pose_source) == ("nerf_capture", "vio")
-
-
 @pytest.mark.parametrize("write", [write_colmap, write_nerfstudio])
 def test_each_folder_of_images_is_a_recording(tmp_path: Path, write: Callable[[Path, Walk], object]) -> None:
     root = tmp_path / "scene"
@@ -246,17 +240,6 @@ def test_a_reference_is_no_vio_and_its_unit_is_stated(tmp_path: Path, metric: bo
     reference = pd.read_parquet(folder / "reference.parquet")
     np.testing.assert_allclose(poses_of(reference, "map_cam"), walk.vio_T_cam, atol=1e-9)
     assert not len(pd.read_parquet(folder / "vio.parquet"))
-
-
-@pytest.mark.parametrize("write", [write_colmap, write_nerfstudio])
-def test_images_that_have_no_pose_are_rejects(tmp_path: Path, write: Callable[[Path, Walk], None]) -> None:
-    write(tmp_path / "place", make_walk(6))
-    image = next((tmp_path / "place" / "images").iterdir())
-    (image.parent / "unregistered.jpg").write_bytes(image.read_bytes())
-    (raw,) = read_all(tmp_path / "place")
-    assert [(r.source, r.reason) for r in raw.rejects] == [
-        ("images/unregistered.jpg", "no row of the log that can be read names this image")
-    ]
 
 
 def test_rows_of_nerfstudio_without_an_image_are_rejects(tmp_path: Path) -> None:
