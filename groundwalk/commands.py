@@ -139,9 +139,13 @@ def compare(
     except ValueError:
         expected = "a number, as in --fail-if-worse 5%"
         raise UserError("this is no percentage", found=fail_if_worse, expected=expected) from None
-    compared = [_compared(run, profile, data) for run in runs]
-    if len(compared) < 2:
+    if len(runs) < 2:
         raise UserError("one run can't be compared", found=runs[0], do="name two runs or more")
+    # Folders without the folder that all are in.
+    folders = [Path(run).absolute() for run in runs if not is_name(run)]
+    common = os.path.commonpath([folder.parent for folder in folders]) if folders else ""
+    names = [f"{run}, {profile}" if is_name(run) else str(Path(run).absolute().relative_to(common)) for run in runs]
+    compared = [_compared(run, name, profile, data) for run, name in zip(runs, names, strict=True)]
     if len({run.name for run in compared}) < len(compared):
         raise UserError("a run was named twice", found=", ".join(run.name for run in compared))
     found = [difference for other in compared[1:] for difference in differences(compared[0], other)]
@@ -159,13 +163,13 @@ def compare(
         raise typer.Exit(1)
 
 
-def _compared(name: str, profile: str, data: Path) -> "ComparedRun":
+def _compared(run_name: str, name: str, profile: str, data: Path) -> "ComparedRun":
     from groundwalk.opening import open_run
     from groundwalk.reports.comparison import ComparedRun
     from groundwalk.store.schemas import schema
     from groundwalk.store.tables import map_unit
 
-    run = open_run(name, profile, data)
+    run = open_run(run_name, profile, data)
 
     def table(stage: str, table: str) -> "pd.DataFrame":
         is_there = (run.folder / stage / f"{table}.parquet").is_file() and stage not in run.outdated
@@ -176,7 +180,7 @@ def _compared(name: str, profile: str, data: Path) -> "ComparedRun":
 
     truth = table("align", "ground_truth")
     return ComparedRun(
-        name=f"{run.scene}, {run.profile}" if is_name(name) else name,
+        name=name,
         manifests=run.manifests,
         unit=map_unit(truth).symbol,
         ground_truth=truth,

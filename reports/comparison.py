@@ -204,8 +204,12 @@ def figures_grid(found: list[Difference], unit: str) -> Grid | None:
 
 
 def picture(found: list[Difference], folder: Path) -> str:
-    """The changes in percent with their intervals, as SVG; those larger than noise are dark."""
-    shown = [d for d in found if np.isfinite([d.percent, d.low, d.high]).all() and d.before]
+    """The changes in percent with their intervals, as SVG, of several runs only those larger than noise, which are
+    dark; empty where there are none."""
+    several = len({d.run for d in found}) > 1
+    shown = [d for d in found if np.isfinite([d.percent, d.low, d.high]).all() and (d.is_clear or not several)]
+    if not shown:
+        return ""
     with style.applied():
         figure, (ax,) = style.new_figure(1, 0.17 * max(len(shown), 4) + 0.5)
         ax.set_xscale("symlog", linthresh=10)
@@ -214,7 +218,6 @@ def picture(found: list[Difference], folder: Path) -> str:
             colour = style.INK if d.is_clear else style.NEUTRAL
             ax.plot([low, high], [y, y], color=colour, lw=1.2)
             ax.plot(d.percent, y, "o", color=colour, ms=4)
-        several = len({d.run for d in shown}) > 1
         labels = [f"{d.run + ': ' if several else ''}{d.subject}, {d.figure.partition(' (')[0]}" for d in shown]
         ax.axvline(0, color=style.NEUTRAL, lw=0.8)
         ax.set(yticks=range(len(shown)), yticklabels=labels, xlabel="change (%)")
@@ -229,14 +232,18 @@ def comparison_page(runs: list[ComparedRun], found: list[Difference], folder: Pa
     parts = []
     if len({str(run.manifests.get("import", {}).get("inputs")) for run in runs}) > 1:
         parts.append(banner.format("The captures differ: frames are paired by their names, whatever they show."))
-    if found:
+    if not found:
+        parts.append(banner.format("These runs have no frames in common: there is nothing to compare but settings."))
+    else:
+        clear = sum(d.is_clear for d in found)
+        parts.append(Markup(f"<p>{clear or 'None'} of {len(found)} figures differ by more than noise.</p>"))
+    if drawn := picture(found, folder):
         caption = (
             "Each figure's change with its 95 % interval; grey: not larger than noise."
             " Of coverage and frames with ground truth more is better, of all others less."
         )
         shown = Markup('<figure class="picture wide">{}<figcaption>{}</figcaption></figure>')
-        parts.append(shown.format(Markup(picture(found, folder)), caption))
-    else:
-        parts.append(banner.format("These runs have no frames in common: there is nothing to compare but settings."))
+        parts.append(shown.format(Markup(drawn), caption))
     parts += [html_table(figures_grid(found, runs[0].unit)), html_table(settings_that_differ(runs))]
-    return plain_page(" / ".join(run.name for run in runs), "comparison", parts)
+    others = runs[1].name if len(runs) == 2 else f"{len(runs) - 1} other runs"
+    return plain_page(f"{runs[0].name} against {others}", "comparison", parts)

@@ -4,6 +4,7 @@ import contextlib
 import gc
 import os
 import platform
+import re
 import shutil
 import time
 from collections.abc import Iterable, Iterator
@@ -255,6 +256,14 @@ def _refuse_small_disk(work: Path, needed: int) -> None:
         )
 
 
+def _processor() -> str:
+    """Its name where Linux tells it: training takes twice as long on one without units for products in bfloat16."""
+    with contextlib.suppress(OSError):
+        names = re.findall(r"^model name\s*: (.+)", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.M)
+        return f"{names[0]}, " if names else ""
+    return ""
+
+
 def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: PeakMemory) -> dict[str, Any]:
     versions = dict.fromkeys(_VERSIONS, "not installed")
     for name in _VERSIONS:
@@ -270,6 +279,6 @@ def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: Pe
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": versions | {"python": platform.python_version()},
         "git_revision": git_revision(),
-        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        "machine": f"{platform.system()} {platform.machine()}, {_processor()}{os.cpu_count()} cores",
         "recorded": (run.work / RECORDING).is_file(),
     }
