@@ -138,7 +138,7 @@ def _why_unusable(
     """Why a recording can't be used; None where it can."""
     if not any(session.frames for session in sessions):
         return "unusable: no sound pose" if raw.pose_source != PoseSource.NONE else "unusable: no sound image"
-    if remedies := [fault.remedy for fault in implausible if fault.is_unusable]:
+    if remedies := [fault.remedy for fault in implausible if fault.remedy]:
         return f"unusable: not plausible, by the warning above; {remedies[0]}"
     if not any(session.images for session in sessions) and any(frame.image is not None for frame in raw.frames):
         return "unusable: no sound image"

@@ -186,8 +186,7 @@ def _log_curve(
 
 def _log_marks(stream: rr.RecordingStream, at: str, session: Session) -> None:
     """Rejects and jumps: a point where the phone was, and a line in the log."""
-    t_ns, positions = session.t_ns, session.poses[:, :3, 3]
-    start = int(t_ns[0])
+    t_ns, positions, start = session.t_ns, session.poses[:, :3, 3], int(session.t_ns[0])
     places, labels = [], []
     for reject in session.rejects:
         t = start if reject.t_ns is None else reject.t_ns
@@ -195,20 +194,19 @@ def _log_marks(stream: rr.RecordingStream, at: str, session: Session) -> None:
             set_time(stream, t - start)
         else:
             stream.set_time(_BY_NAME, sequence=(t - start) // 10**9)
-        line = f"{printable(reject.source)}: {printable(reject.reason)}"
-        stream.log(f"{at}/log/rejects", rr.TextLog(line, level="WARN"))
+        reason = printable(reject.reason)
+        stream.log(f"{at}/log/rejects", rr.TextLog(f"{printable(reject.source)}: {reason}", level="WARN"))
         if reject.t_ns is not None and t_ns[0] <= t <= t_ns[-1]:
             places.append(positions[np.searchsorted(t_ns, t)])
-            labels.append(printable(reject.reason))
+            labels.append(reason)
     if places:
         points = rr.Points3D(places, colors=REJECTED, radii=rr.Radius.ui_points(5), labels=labels, show_labels=False)
         stream.log(f"{at}/rejects", points, static=True)
     if session.jumps:
-        ends = [min(int(np.searchsorted(t_ns, jump.t_ns)), len(t_ns) - 1) for jump in session.jumps]
+        ends = np.searchsorted(t_ns, [jump.t_ns for jump in session.jumps]).clip(max=len(t_ns) - 1)
         texts = [f"jump {j.jump_m:.2f} m, {j.jump_deg:.1f} deg" for j in session.jumps]
         points = rr.Points3D(positions[ends], colors=REJECTED, radii=rr.Radius.ui_points(6), labels=texts)
         stream.log(f"{at}/jumps", points, static=True)
         for jump, text in zip(session.jumps, texts, strict=True):
             set_time(stream, jump.t_ns - start)
-            line = text + (", session split" if jump.splits else "")
-            stream.log(f"{at}/log/jumps", rr.TextLog(line, level="WARN"))
+            stream.log(f"{at}/log/jumps", rr.TextLog(text + ", session split" * jump.splits, level="WARN"))

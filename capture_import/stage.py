@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import pandas as pd
 
+from groundwalk.capture_import import tables
 from groundwalk.capture_import.capture import ImageCheck, RawFrame, Session
 from groundwalk.capture_import.checks.clock import MAX_OFFSET_S, check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, check_convention, with_focal_length
@@ -29,14 +30,6 @@ from groundwalk.capture_import.selection import select_enough
 from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.splits import LEAK_S, SplitResult, nearest_split, refuse_lists, split_frames
-from groundwalk.capture_import.tables import (
-    frames_table,
-    jumps_table,
-    reference_table,
-    rejects_table,
-    sessions_table,
-    vio_table,
-)
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.files import write_json
 from groundwalk.store.hints import groundwalk_command, setting_of
@@ -83,7 +76,7 @@ def run(r: StageRun[ImportSettings]) -> None:
         selection_of, denser = select_enough(sessions, settings)
         if denser is not None:
             r.say(denser)
-        tables = []
+        of_session = []
         for i, session in enumerate(sessions):
             selection = selection_of[session.session_id]
             if not selection.images:
@@ -96,8 +89,8 @@ def run(r: StageRun[ImportSettings]) -> None:
             stated = session.recording.first_row if settings.first_row == "auto" else settings.first_row
             checks = [image.check for image in selection.images]
             sides = [first_row(check.width, check.height, stated, where.quarters) for check in checks]
-            tables.append(frames_table(session, selection, places, depths, sides))
-        frames = pd.concat(tables, ignore_index=True)
+            of_session.append(tables.frames_table(session, selection, places, depths, sides))
+        frames = pd.concat(of_session, ignore_index=True)
         dataset = dataset_frames(frames)
         split = split_frames(dataset, r.scene.split, settings.split_by == "time")
         frames["split"] = nearest_split(frames, dataset.assign(split=split.of_frame))
@@ -105,16 +98,16 @@ def run(r: StageRun[ImportSettings]) -> None:
         if r.before is not None:
             frames = held_frames(r, frames)
         frames_of = {s.session_id: frames[frames["session_id"] == s.session_id] for s in sessions}
-        session_rows = sessions_table(
+        session_rows = tables.sessions_table(
             sessions, frames_of, appearances_of(root), origin, reference_is_metric=settings.reference_is_metric
         )
         r.write("frames", frames.drop(columns=["recording", "stated_split", "content_sha256"]))
         r.write("sessions", session_rows)
-        r.write("rejects", rejects_table(sessions))
-        r.write("jumps", jumps_table(sessions))
-        references = [reference_table(session, frames_of[session.session_id]) for session in sessions]
+        r.write("rejects", tables.rejects_table(sessions))
+        r.write("jumps", tables.jumps_table(sessions))
+        references = [tables.reference_table(session, frames_of[session.session_id]) for session in sessions]
         r.write("reference", pd.concat(references, ignore_index=True))
-        r.write("vio", pd.concat([vio_table(session) for session in sessions], ignore_index=True))
+        r.write("vio", pd.concat([tables.vio_table(session) for session in sessions], ignore_index=True))
 
     _report(r, sessions, frames, session_rows, split)
     with r.step("near copies"):
@@ -154,7 +147,7 @@ def _read_sessions(r: StageRun[ImportSettings], source: RecordingSource, reader:
     if said:
         r.say(f"{recording.recording_id}: {said}")
     for fault in plausibility_faults(sessions):
-        if fault.is_unusable:
+        if fault.remedy:
             raise UserError(
                 f"the motion of {recording.recording_id} isn't plausible",
                 where=recording.folder,
@@ -298,12 +291,12 @@ def _report_near_copies(
     test, train = (list(timeless.loc[timeless["split"] == side, "frame_id"]) for side in ("test", "train"))
     if not test or not train:
         return
-    copies = find_near_copies([frame_of[i] for i in test], [frame_of[i] for i in train], reader)
-    r.figure("test_images_near_train", len(copies.pairs) / copies.looked_at)
-    if len(copies.pairs) > MAX_FRACTION * copies.looked_at:
-        i, j = copies.pairs[0]
+    looked_at, pairs = find_near_copies([frame_of[i] for i in test], [frame_of[i] for i in train], reader)
+    r.figure("test_images_near_train", len(pairs) / looked_at)
+    if len(pairs) > MAX_FRACTION * looked_at:
+        i, j = pairs[0]
         r.say(
-            f"warning: {len(copies.pairs)} of {copies.looked_at} test images show nearly what a training image shows "
+            f"warning: {len(pairs)} of {looked_at} test images show nearly what a training image shows "
             f"(as {test[i]} and {train[j]}): accuracy on this split says little about new walks. Names don't say "
             "which images were taken together: name those for testing, or put each walk into a folder of its own "
             "(docs/how-to/split.md)"

@@ -2,15 +2,12 @@
 they were taken."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import RawFrame, poses_of
 from groundwalk.capture_import.checks.features import LONG_SIDE, Features, detect_features, match_features
 from groundwalk.capture_import.media.reading import ImageReader
-from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
 from groundwalk.store.parallel import in_parallel
 
@@ -25,37 +22,27 @@ _MIN_MATCHED, _MAX_MOVED = 0.25, 0.08
 MAX_FRACTION = 0.05
 
 
-@dataclass(frozen=True)
-class NearCopies:
-    """Of so many test images looked at, those with a near copy among the training images: their places, and its."""
-
-    looked_at: int
-    pairs: list[tuple[int, int]]
-
-
-def find_near_copies(test: Sequence[RawFrame], train: Sequence[RawFrame], images: ImageReader) -> NearCopies:
-    """The test images of which much of what is seen is at nearly the same place in a training image.
-
-    All frames have poses, which choose what is compared; images decide."""
+def find_near_copies(
+    test: Sequence[RawFrame], train: Sequence[RawFrame], images: ImageReader
+) -> tuple[int, list[tuple[int, int]]]:
+    """How many test images were looked at, and the places of those of which much of what is seen is at nearly the same
+    place in a training image, and its. All frames have poses, which choose what is compared; images decide."""
     tried = evenly(len(test), _MAX_LOOKED_AT)
     poses, of_train_poses = poses_of(test), poses_of(train)
-    candidates = {int(i): _nearest(poses[i], of_train_poses) for i in tried}
-    of_train = sorted({int(j) for nearest in candidates.values() for j in nearest})
+    candidates: dict[int, list[int]] = {}
+    for i in tried.tolist():
+        facing = np.flatnonzero(of_train_poses[:, :3, 2] @ poses[i, :3, 2] > np.cos(np.radians(_MAX_ANGLE_DEG)))
+        distance = np.linalg.norm(of_train_poses[facing, :3, 3] - poses[i, :3, 3], axis=1)
+        candidates[i] = facing[np.argsort(distance, kind="stable")[:_NEAREST]].tolist()
+    of_train = sorted({j for nearest in candidates.values() for j in nearest})
     frames = [test[i] for i in candidates] + [train[j] for j in of_train]
     views = in_parallel(lambda view: (id(view[0]), detect_features(view[1])), images.gray(frames, LONG_SIDE))
     features: dict[int, Features] = dict(views)
     near = {
-        i: [int(j) for j in nearest if _are_near(features.get(id(test[i])), features.get(id(train[j])))]
+        i: [j for j in nearest if _are_near(features.get(id(test[i])), features.get(id(train[j])))]
         for i, nearest in candidates.items()
     }
-    return NearCopies(len(candidates), [(i, found[0]) for i, found in near.items() if found])
-
-
-def _nearest(pose: Array, poses: Array) -> NDArray[np.int64]:
-    """Places of the nearest of the poses (N, 4, 4) that look much the same way."""
-    facing = np.flatnonzero(poses[:, :3, 2] @ pose[:3, 2] > np.cos(np.radians(_MAX_ANGLE_DEG)))
-    distance = np.linalg.norm(poses[facing, :3, 3] - pose[:3, 3], axis=1)
-    return facing[np.argsort(distance, kind="stable")[:_NEAREST]]
+    return len(candidates), [(i, found[0]) for i, found in near.items() if found]
 
 
 def _are_near(a: Features | None, b: Features | None) -> bool:

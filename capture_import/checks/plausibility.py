@@ -35,14 +35,10 @@ _UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.
 
 @dataclass(frozen=True)
 class PlausibilityFault:
-    """What isn't plausible of a recording, with its figures. `remedy`: what to do where nothing can be made of it."""
+    """What isn't plausible of a recording, with its figures; where nothing can be made of it, what to do."""
 
     text: str
     remedy: str = ""
-
-    @property
-    def is_unusable(self) -> bool:
-        return bool(self.remedy)
 
 
 def plausibility_faults(sessions: Sequence[Session]) -> list[PlausibilityFault]:

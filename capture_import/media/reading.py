@@ -48,20 +48,15 @@ class ImageReader:
     def gray(self, frames: Sequence[Frame], long_side: int) -> Iterator[tuple[Frame, Gray]]:
         """Frames that have passed the check, in order, each with its image (H, W) scaled down to the long side. A
         damaged video may not give a frame again."""
-
-        def of_file(frame: Frame) -> Gray:
-            assert isinstance(frame.image, ImageFile)  # a recording has files or a video, never both
-            return decode_gray(self.read(frame.image.path), WORKING_LONG_SIDE)
-
-        def turned(frame: Frame, working: Gray) -> tuple[Frame, Gray]:
-            return frame, turned_pixels(shrunk(working, long_side), frame.quarters)
-
+        working: Iterator[tuple[Frame, Gray]]
         if video := video_of(frames):
             of_index = {frame.image.index: frame for frame in frames if isinstance(frame.image, VideoFrame)}
-            for index, decoded in decode(video, set(of_index), self.limits):
-                yield turned(of_index[index], _working_gray(decoded))
+            decoded = decode(video, set(of_index), self.limits)
+            working = ((of_index[index], _working_gray(picture)) for index, picture in decoded)
         else:
-            yield from in_parallel(lambda frame: turned(frame, of_file(frame)), frames)
+            working = in_parallel(lambda frame: (frame, decode_gray(self._bytes(frame), WORKING_LONG_SIDE)), frames)
+        for frame, gray in working:
+            yield frame, turned_pixels(shrunk(gray, long_side), frame.quarters)
 
     def read(self, path: Path, max_bytes: float = math.inf) -> bytes:
         """A file's bytes; BadImage for one that is no ordinary file, leads out of `roots`, or is too large."""
@@ -80,10 +75,13 @@ class ImageReader:
             inside = next((path.relative_to(root) for root in self.roots if path.is_relative_to(root)), path)
             raise BadImage(f"{inside} can't be read: {getattr(error, 'strerror', None) or error}") from None
 
+    def _bytes(self, frame: RawFrame) -> bytes:
+        assert isinstance(frame.image, ImageFile)  # a recording has files or a video, never both
+        return self.read(frame.image.path)
+
     def _check_file(self, frame: RawFrame) -> ImageCheck | str:
-        assert isinstance(frame.image, ImageFile)
         try:
-            return _turned(check_image(self.read(frame.image.path), self.limits.max_megapixels), frame.quarters)
+            return _turned(check_image(self._bytes(frame), self.limits.max_megapixels), frame.quarters)
         except BadImage as error:
             return f"image {error}"
 

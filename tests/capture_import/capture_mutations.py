@@ -29,16 +29,8 @@ def _truncate(path: Path, rng: Random) -> None:
     path.write_bytes(data[: rng.integers(0, len(data) + 1)])
 
 
-def _empty(path: Path, _: Random) -> None:
-    path.write_bytes(b"")
-
-
-def _delete(path: Path, _: Random) -> None:
-    path.unlink()
-
-
 def _junk(path: Path, rng: Random) -> None:
-    path.write_bytes(rng.bytes(int(rng.integers(1, 5000))))
+    path.write_bytes(rng.bytes(int(rng.integers(1, 5000))) if rng.random() < 0.7 else b"")
 
 
 def _replace(path: Path, rng: Random, pattern: bytes, new: bytes) -> None:
@@ -62,24 +54,16 @@ def _shuffle_lines(path: Path, rng: Random) -> None:
     path.write_bytes(b"\n".join(lines[i] for i in order))
 
 
-def _link_out(path: Path, _: Random) -> None:
+def _no_file(path: Path, rng: Random) -> None:
     path.unlink()
-    path.symlink_to("/etc/hostname")
-
-
-def _link_loop(path: Path, _: Random) -> None:
-    path.unlink()
-    path.symlink_to(path.name)
-
-
-def _folder(path: Path, _: Random) -> None:
-    path.unlink()
-    path.mkdir()
-
-
-def _pipe(path: Path, _: Random) -> None:
-    path.unlink()
-    os.mkfifo(path)
+    kinds: list[Callable[[], object]] = [
+        lambda: None,
+        lambda: path.symlink_to("/etc/hostname"),
+        lambda: path.symlink_to(path.name),
+        path.mkdir,
+        lambda: os.mkfifo(path),
+    ]
+    kinds[rng.integers(len(kinds))]()
 
 
 def _other_file(path: Path, rng: Random) -> None:
@@ -93,8 +77,8 @@ def _odd_name(path: Path, _: Random) -> None:
 
 
 MUTATIONS: tuple[Callable[[Path, Random], None], ...] = (
-    _flip_bytes, _truncate, _empty, _delete, _junk, _hostile_value, _hostile_value, _hostile_value, _rename_key,
-    _shuffle_lines, _shuffle_lines, _link_out, _link_loop, _folder, _pipe, _other_file, _odd_name,
+    _flip_bytes, _truncate, _junk, _junk, _hostile_value, _hostile_value, _hostile_value, _rename_key, _shuffle_lines,
+    _shuffle_lines, _no_file, _no_file, _no_file, _no_file, _no_file, _other_file, _odd_name,
 )  # fmt: skip
 
 

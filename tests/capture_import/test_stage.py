@@ -187,38 +187,28 @@ def test_images_that_cannot_be_trusted_are_rejects(tmp_path: Path) -> None:
     assert tables["frames"].set_index("t_ns")["tracking"][rows[6]["t_ns"]] == "limited"
 
 
-def test_a_large_jump_splits_the_session_and_a_small_one_is_told(tmp_path: Path) -> None:
-    walk = make_walk(90, every=1)
+def test_a_large_jump_splits_the_session_a_small_one_is_told_and_rejects_name_the_part(tmp_path: Path) -> None:
+    walk, folder = make_walk(90), tmp_path / "captures" / "place" / "walk"
     walk.vio_T_cam[30:, :3, 3] += [0.0, 0.0, 0.2]
     walk.vio_T_cam[60:, :3, 3] += [3.0, 0.0, 0.0]
-    write_scanner_app(tmp_path / "captures" / "place" / "walk", walk)
+    write_scanner_app(folder, walk)
+    for number in (10, 70):
+        (folder / f"frame_{number:05d}.jpg").write_bytes(b"")
+    for number in (21, 81):  # the time of the row before, too
+        shutil.copyfile(folder / f"frame_{number - 1:05d}.json", folder / f"frame_{number:05d}.json")
+    (folder / "frame_00040.json").write_text("[]")
     tables = run_import(tmp_path, "place", "sampling='all'")
-    jumps = tables["jumps"]
-    assert jumps["splits"].tolist() == [False, True]
+    jumps, rejects = tables["jumps"], tables["rejects"].sort_values(["session_id", "source"])
+    assert jumps["splits"].tolist() == [False, True] and jumps["t_ns"].tolist() == walk.t_ns[[30, 60]].tolist()
     np.testing.assert_allclose(jumps["jump_m"], [0.2, 3.0], atol=0.05)
-    assert jumps["t_ns"].tolist() == walk.t_ns[[30, 60]].tolist()
-    assert tables["frames"]["session_id"].value_counts().to_dict() == {"walk": 60, "walk.part2": 30}
+    assert tables["frames"]["session_id"].value_counts().to_dict() == {"walk": 28, "walk.part2": 14}
     # The three metres of the jump are no part of the walk.
     assert tables["sessions"]["path_m"].sum() < 11
-
-
-def test_rejects_name_the_part_of_the_session_and_what_is_left_out(tmp_path: Path) -> None:
-    walk, folder = make_walk(90), tmp_path / "captures" / "place" / "walk"
-    walk.vio_T_cam[60:, :3, 3] += [3.0, 0.0, 0.0]
-    write_scanner_app(folder, walk)
-    (folder / "frame_00010.jpg").write_bytes(b"")
-    (folder / "frame_00070.jpg").write_bytes(b"")
-    for number in (21, 81):
-        (folder / f"frame_{number:05d}.json").write_text(
-            (folder / f"frame_{number - 1:05d}.json").read_text()  # its time, too
-        )
-    (folder / "frame_00030.json").write_text("[]")
-    rejects = run_import(tmp_path, "place", "sampling='all'")["rejects"].sort_values(["session_id", "source"])
     assert list(zip(rejects["session_id"], rejects["source"], rejects["rejected"].fillna(""), strict=True)) == [
         ("walk", "frame_00010.json", "image"),
         ("walk", "frame_00021.json", "pose"),
-        ("walk", "frame_00030.jpg", "image"),
-        ("walk", "frame_00030.json", ""),
+        ("walk", "frame_00040.jpg", "image"),
+        ("walk", "frame_00040.json", ""),
         ("walk.part2", "frame_00070.json", "image"),
         ("walk.part2", "frame_00081.json", "pose"),
     ]

@@ -66,7 +66,7 @@ def off(data: bytes, index: int, turns: int = 0) -> float:
     return float(np.abs(shown.astype(float) - np.rot90(image(index, WIDTH, HEIGHT), -turns)).mean())
 
 
-@pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (6, 1), (3, 2), (8, 3)])
+@pytest.mark.parametrize(("orientation", "turns"), [(6, 1), (3, 2), (8, 3)])
 def test_orientation_is_applied_once(tmp_path: Path, orientation: int, turns: int) -> None:
     place = tmp_path / "captures" / "place"
     for n in range(6):
@@ -206,7 +206,7 @@ def write_video(path: Path, times_s: list[float], rotation: int = 0, blur: float
         container.mux(stream.encode())
 
 
-@pytest.mark.parametrize(("rotation", "turns"), [(0, 0), (-90, 1), (180, 2), (90, 3)])
+@pytest.mark.parametrize(("rotation", "turns"), [(0, 0), (-90, 1), (180, 2)])
 def test_a_video_is_turned_and_has_its_own_times(tmp_path: Path, rotation: int, turns: int) -> None:
     place = tmp_path / "captures" / "place"
     times_s = [0.0, 0.4, 1.5, 1.6, 2.2, 3.9, 4.0, 5.5]  # of a variable rate

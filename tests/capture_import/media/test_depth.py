@@ -23,11 +23,6 @@ def depth_mm(index: int) -> np.ndarray:
     return (500 + index + np.arange(SHAPE[0] * SHAPE[1]).reshape(SHAPE)).astype(np.uint16)
 
 
-def write_depth(path: Path, pixels: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), pixels)
-
-
 # Where each format has depth and confidence of a frame with this number and time, and how much confidence is 1.
 PLACES: dict[str, tuple[str, str, int]] = {
     "3d_scanner_app": ("depth_{i:05d}.png", "conf_{i:05d}.png", 1),
