@@ -1,6 +1,5 @@
 """What a phone will give the network: a regressor's preprocessing as data, and frames that went through it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -17,7 +16,6 @@ from groundwalk.runtime.preprocessing import Preprocessing
 from groundwalk.runtime.queries import Query
 from groundwalk.store.images import read_image
 from groundwalk.store.tables import camera_of
-from groundwalk.training.build import Trained
 from groundwalk.training.data import IMAGENET_MEAN, IMAGENET_STD
 
 _COEFFICIENTS = 8
@@ -44,7 +42,14 @@ class PhoneInputs:
             "distortion": np.trim_zeros(np.median(distortion, axis=0), "b").tolist(),
         }
         image = {"width_px": int(width), "height_px": int(height), "channels": "RGB", "turned": False}
-        return Preprocessing(image, lens, tuple(steps_of(self.regressor.trained)))
+        trained = self.regressor.trained
+        resize: dict[str, Any] = {"step": "resize", "short_side_px": trained.resize}
+        if trained.focal_px is not None:
+            resize |= {"step": "pinhole", "focal_px": trained.focal_px}
+        name = "upright_crop" if trained.upright else "centre_crop"
+        crop = {"step": name, "width_px": trained.width, "height_px": trained.crop}
+        normalise = {"step": "normalise", "mean": IMAGENET_MEAN, "sd": IMAGENET_STD}
+        return Preprocessing(image, lens, (resize, crop, normalise))
 
     def query(self, row: int) -> Query:
         """A frame as a phone would ask about it: with the stated intrinsics, and gravity where the capture has it."""
@@ -88,13 +93,3 @@ class PhoneInputs:
         """Height and width of the network's input."""
         height, width = self.tensor(self.spread("train", 1)[0]).shape[2:]
         return height, width
-
-
-def steps_of(trained: Trained) -> Sequence[dict[str, Any]]:
-    """The steps of preprocessing that lead to what the regressor was trained on."""
-    resize: dict[str, Any] = {"step": "resize", "short_side_px": trained.resize}
-    if trained.focal_px is not None:
-        resize = {"step": "pinhole", "short_side_px": trained.resize, "focal_px": trained.focal_px}
-    name = "upright_crop" if trained.upright else "centre_crop"
-    crop = {"step": name, "width_px": trained.width, "height_px": trained.crop}
-    return [resize, crop, {"step": "normalise", "mean": IMAGENET_MEAN, "sd": IMAGENET_STD}]

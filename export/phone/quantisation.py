@@ -9,8 +9,9 @@ in 8 bits all the same, and made float32 as the network runs.
 
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -78,83 +79,67 @@ class Quantised:
 
 def write_int8(fp32: Path, out: Path, calibration: Tensors, held_out: HeldOut) -> Quantised:
     """Write the int8 network of `fp32`, unless it loses too much by it; see the module."""
+    try:
+        from onnxruntime.quantization import QuantFormat, QuantType, quant_pre_process, quantize_static
+    except ImportError as error:
+        do = "pip install 'groundwalk[phone]', or onnx and onnxruntime"
+        raise UserError("exporting needs more packages", found=error, do=do) from None
     with tempfile.TemporaryDirectory(prefix="groundwalk-") as name, quiet():
-        folder = Path(name)
-        prepared = folder / "prepared.onnx"
-        try:
-            from onnxruntime.quantization import quant_pre_process
-        except ImportError as error:
-            do = "pip install 'groundwalk[phone]', or onnx and onnxruntime"
-            raise UserError("exporting needs more packages", found=error, do=do) from None
+        prepared, files = Path(name) / "prepared.onnx", dict[tuple[str, ...], Path]()
         # Batch norms are folded into convolutions, as quantisation wants it.
         quant_pre_process(fp32, prepared, skip_symbolic_shape=True)
-        trials = _Trials(prepared, folder, calibration, held_out)
-        best, measured = trials.search()
-        if refusal := _refusal(measured, trials.fp32):
-            return Quantised(best, trials.fp32, measured, refusal)
-        out.write_bytes(trials.file(best).read_bytes())
-    return Quantised(best, trials.fp32, measured, "")
+        groups, never = _groups(prepared)
 
-
-def _refusal(int8: Measured, fp32: Measured) -> str:
-    if not int8.ratio(fp32) <= MAX_ERROR_RATIO:
-        return f"its errors on held-out frames are {int8.ratio(fp32):.2f} times those of fp32, over {MAX_ERROR_RATIO}"
-    return ""
-
-
-class _Trials:
-    """Networks quantised with different groups of nodes in float32, each made and measured once."""
-
-    def __init__(self, prepared: Path, folder: Path, calibration: Tensors, held_out: HeldOut) -> None:
-        self.prepared, self.folder = prepared, folder
-        self.calibration, self.held_out = calibration, held_out
-        self.groups, self.never = _groups(prepared)
-        self.measured: dict[tuple[str, ...], Measured] = {}
-        self.fp32 = measure(prepared, held_out)
-
-    def search(self) -> tuple[tuple[str, ...], Measured]:
-        """The groups to leave in float32: one more at a time, as long as that pays."""
-        best: tuple[str, ...] = ()
-        for group in self.groups:
-            trial = tuple(sorted({*best, group}))
-            if len(trial) < len(self.groups) and self._is_better(self.trial(trial), self.trial(best)):
-                best = trial
-        return best, self.trial(best)
-
-    def _is_better(self, one: Measured, other: Measured) -> bool:
-        fits, other_fits = (m.ratio(self.fp32) <= MAX_ERROR_RATIO for m in (one, other))
-        if fits and other_fits:
-            time, other_time = (
-                m.milliseconds * (_UNSAFE_TIME_FACTOR if m.ratio(self.fp32) > _SAFE_ERROR_RATIO else 1)
-                for m in (one, other)
-            )
-            return time < _FASTER * other_time
-        return fits or (not other_fits and one.ratio(self.fp32) < other.ratio(self.fp32))
-
-    def trial(self, in_float32: tuple[str, ...]) -> Measured:
-        """The network with these groups in float32, made and measured where it hasn't been."""
-        from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
-
-        if in_float32 not in self.measured:
-            excluded = [*self.never, *(node for group in in_float32 for node in self.groups[group])]
+        @cache
+        def trial(in_float32: tuple[str, ...]) -> Measured:
+            """The network with these groups in float32, made and measured."""
+            file = files[in_float32] = Path(name) / f"int8-{len(files)}.onnx"
+            excluded = [*never, *(node for group in in_float32 for node in groups[group])]
             quantize_static(
-                self.prepared,
-                self.file(in_float32),
-                _Reader(self.calibration),
+                prepared,
+                file,
+                _Reader(calibration),
                 quant_format=QuantFormat.QDQ,
                 op_types_to_quantize=[*_WITH_WEIGHTS, *_BETWEEN],
                 per_channel=True,
                 activation_type=QuantType.QUInt8,
                 weight_type=QuantType.QInt8,
                 nodes_to_exclude=excluded,
-                calibration_cache_path=self.folder / "ranges.json",
+                calibration_cache_path=Path(name) / "ranges.json",
             )
-            _store_in_int8(self.file(in_float32), excluded)
-            self.measured[in_float32] = measure(self.file(in_float32), self.held_out)
-        return self.measured[in_float32]
+            _store_in_int8(file, excluded)
+            return measure(file, held_out)
 
-    def file(self, in_float32: tuple[str, ...]) -> Path:
-        return self.folder / f"int8-{'-'.join(sorted(self.groups.keys() - set(in_float32))).replace(' ', '_')}.onnx"
+        measured = measure(prepared, held_out)
+        best, int8 = _search(list(groups), trial, measured)
+        ratio, refusal = int8.ratio(measured), ""
+        if ratio <= MAX_ERROR_RATIO:
+            out.write_bytes(files[best].read_bytes())
+        else:
+            refusal = f"its errors on held-out frames are {ratio:.2f} times those of fp32, over {MAX_ERROR_RATIO}"
+    return Quantised(best, measured, int8, refusal)
+
+
+def _search(
+    groups: Sequence[str], trial: Callable[[tuple[str, ...]], Measured], fp32: Measured
+) -> tuple[tuple[str, ...], Measured]:
+    """The groups to leave in float32, one more at a time as long as that pays, and the network that they make."""
+    best: tuple[str, ...] = ()
+    for group in groups:
+        more = tuple(sorted({*best, group}))
+        if len(more) < len(groups) and _is_better(trial(more), trial(best), fp32):
+            best = more
+    return best, trial(best)
+
+
+def _is_better(one: Measured, other: Measured, fp32: Measured) -> bool:
+    fits, other_fits = (m.ratio(fp32) <= MAX_ERROR_RATIO for m in (one, other))
+    if fits and other_fits:
+        time, other_time = (
+            m.milliseconds * (_UNSAFE_TIME_FACTOR if m.ratio(fp32) > _SAFE_ERROR_RATIO else 1) for m in (one, other)
+        )
+        return time < _FASTER * other_time
+    return fits or (not other_fits and one.ratio(fp32) < other.ratio(fp32))
 
 
 def measure(file: Path, held_out: HeldOut) -> Measured:

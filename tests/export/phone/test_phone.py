@@ -201,26 +201,17 @@ def test_the_last_weights_and_what_follows_stay_in_float32(wall_bundle: Path, tm
 FP32 = Measured(10.0, 1.0, 1.0)
 
 
-class Table(quantisation._Trials):
-    """Trials whose measurements are given instead of made."""
-
-    def __init__(self, groups: list[str], given: dict[tuple[str, ...], Measured]) -> None:
-        self.groups, self.given, self.fp32 = {name: [] for name in groups}, given, FP32
-
-    def trial(self, in_float32: tuple[str, ...]) -> Measured:
-        return self.given[in_float32]
-
-
 def test_a_group_stays_in_float32_where_that_is_faster_or_more_accurate() -> None:
     both = Measured(8.0, 1.0, 1.0)
     table = {(): both, ("a",): Measured(7.0, 1.0, 1.0), ("b",): both, ("a", "b"): Measured(6.9, 1.0, 1.0)}
-    assert Table(["a", "b", "c"], table | {("a", "c"): both}).search()[0] == ("a",)
+    search = quantisation._search
+    assert search(["a", "b", "c"], (table | {("a", "c"): both}).__getitem__, FP32)[0] == ("a",)
     wrong = Measured(5.0, 2.0, 1.0)
     table = {(): wrong, ("a",): wrong, ("b",): Measured(6.0, 1.04, 1.0)}
-    assert Table(["a", "b"], table).search()[0] == ("b",)
+    assert search(["a", "b"], table.__getitem__, FP32)[0] == ("b",)
     # What is just accurate enough gives way to what is more so in about the same time.
-    just, more = Measured(5.0, 1.04, 1.0), Measured(5.1, 1.0, 1.0)
-    assert Table(["a", "b"], {(): just, ("a",): Measured(9.0, 1.0, 1.0), ("b",): more}).search()[0] == ("b",)
+    table = {(): Measured(5.0, 1.04, 1.0), ("a",): Measured(9.0, 1.0, 1.0), ("b",): Measured(5.1, 1.0, 1.0)}
+    assert search(["a", "b"], table.__getitem__, FP32)[0] == ("b",)
 
 
 @pytest.mark.slow
@@ -236,8 +227,9 @@ def test_slower_int8_is_shipped_and_float32_recommended(
 def test_a_network_that_int8_spoils_is_shipped_in_float32_alone(
     wall_bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(quantisation, "_Trials", lambda *_: Table(["a"], {(): Measured(5.0, float("nan"), 1.0)}))
-    held_out = HeldOut([], np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]))
+    monkeypatch.setattr(quantisation, "_search", lambda *_: ((), Measured(5.0, float("nan"), 1.0)))
+    monkeypatch.setattr(quantisation, "measure", lambda *_: FP32)
+    held_out = HeldOut([], np.zeros((0, 3)), np.zeros((0, 4)))
     result = quantisation.write_int8(wall_bundle / "fp32.onnx", tmp_path / "int8.onnx", [], held_out)
     assert "nan times those of fp32, over 1.05" in result.refusal and not (tmp_path / "int8.onnx").exists()
 
@@ -247,7 +239,7 @@ def test_what_stays_in_float32_is_stored_in_8_bits(
 ) -> None:
     # One small group is computed in int8: the difference is that of weights stored in 8 bits. Integer convolutions of a
     # network after two steps, whose answers are a tenth of its unit, differ by up to 8 % of the answer.
-    monkeypatch.setattr(quantisation._Trials, "search", lambda self: (kept := (*self.groups,)[:-1], self.trial(kept)))
+    monkeypatch.setattr(quantisation, "_search", lambda groups, trial, _: (kept := (*groups,)[:-1], trial(kept)))
     tensors = [np.random.default_rng(0).normal(size=(1, 3, 32, 32)).astype(np.float32)]
     held_out = HeldOut(tensors, np.full((1, 3), 1000.0), np.array([[0, 0, 0, 1.0]]))
     fp32, int8 = wall_bundle / "fp32.onnx", tmp_path / "int8.onnx"
