@@ -31,11 +31,11 @@ from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.localisation.build import build_map
 from groundwalk.localisation.compact import CompactMap, read_map, write_map
-from groundwalk.localisation.feature_kinds import SIFT
+from groundwalk.localisation.entries import HLocSettings, MapSettings
 from groundwalk.localisation.frames import subset
 from groundwalk.localisation.hloc import HLocLocaliser
 from groundwalk.localisation.inputs import Inputs, read_inputs, training_of
-from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings, StructureSettings
+from groundwalk.localisation.localisers import SIFT, StructureSettings
 from groundwalk.localisation.prepared import Training, prepare
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.localisation.results import QueryResult

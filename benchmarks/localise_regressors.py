@@ -31,7 +31,7 @@ def answers_of(regressor: TrainedRegressor, files: Mapping[str, Path]) -> list[Q
     frames.loc[list(files), "file"] = np.array([*files.values()], object)
     inputs = PhoneInputs(replace(regressor, frames=frames))
     row_of = {frame_id: row for row, frame_id in enumerate(frames.index)}
-    return [QueryResult(_pose(inputs, row_of[frame_id]), None, None, "", 0, 0, NOTHING_SEEN, {}) for frame_id in files]
+    return [QueryResult(_pose(inputs, row_of[frame_id]), None, None, "", 0, 0, NOTHING_SEEN) for frame_id in files]
 
 
 def _pose(inputs: PhoneInputs, row: int) -> Array:

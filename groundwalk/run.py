@@ -178,11 +178,11 @@ class Run:
 
         UserError where the stage isn't finished, or intrinsics and the rest can't be what they should.
         """
-        from groundwalk.localisation.one_query import ask
+        from groundwalk.localisation.locate import ask_map
         from groundwalk.runtime.queries import known_of, query_of
 
         source, known = image if isinstance(image, np.ndarray) else Path(image), known_of(intrinsics, gravity, prior)
-        return ask(self._localiser(model), query_of(source, known, "intrinsics of groundwalk.Run.localise"))
+        return ask_map(self._localiser(model), query_of(source, known, "intrinsics of groundwalk.Run.localise"))
 
     @property
     @_with_columns("fuse", "poses")

@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from groundwalk.features.sift import Features
-from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, transform
 from groundwalk.localisation.compact import Calibration
 from groundwalk.localisation.frames import with_lens
+from groundwalk.localisation.prepared import Training
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.localisation.results import QueryResult
 from groundwalk.scoring.errors import BOUND_95, normalised_squares, pose_error
@@ -35,16 +33,19 @@ class Trial:
     inliers_elsewhere: int
 
 
-def held_out_trial(
-    localiser: MapLocaliser, features: Features, camera: Camera, gravity: Array, map_T_cam: Array
-) -> Trial:
-    """The answer of a frame that took no part in the localiser's map, with its true pose (4, 4); gravity (3,) is NaN
-    where unknown. For the inliers elsewhere, the map's points within the frame's view are hidden."""
-    content = localiser.map
-    down = gravity if np.isfinite(gravity).all() else None
-    hidden = in_view(content.xyz, map_T_cam, with_lens(camera, content.lenses)[0])
-    elsewhere = localiser.localise_features(features, camera, down, hidden=hidden).inliers
-    return Trial(localiser.localise_features(features, camera, down), map_T_cam, elsewhere)
+def held_out_trial(localiser: MapLocaliser, training: Training, row: int) -> Trial:
+    """The answer of a training frame that took no part in the localiser's map, with its true pose. For the inliers
+    elsewhere, the map's points within the frame's view, be they hidden by walls or not, are left out."""
+    features, logged, map_T_cam = training.features[row], training.logged[row], training.views.map_T_cam[row]
+    down = training.gravity[row] if np.isfinite(training.gravity[row]).all() else None
+    camera = with_lens(logged, localiser.map.lenses)[0]
+    cam = transform(inverse(map_T_cam), localiser.map.xyz)
+    ahead = cam[:, 2] > 0.01
+    half = 1.1 * np.array([camera.width / camera.fx, camera.height / camera.fy]) / 2
+    at = np.abs(cam[:, :2]) / np.where(ahead, cam[:, 2], 1.0)[:, None]
+    hidden = np.asarray(ahead & (at <= half).all(axis=1))
+    elsewhere = localiser.localise_features(features, logged, down, hidden=hidden).inliers
+    return Trial(localiser.localise_features(features, logged, down), map_T_cam, elsewhere)
 
 
 def calibrated(trials: Sequence[Trial]) -> Calibration:
@@ -64,15 +65,6 @@ def calibrated(trials: Sequence[Trial]) -> Calibration:
         return Calibration(_WITHOUT_EVIDENCE, 3.0, 0.01, float(np.radians(0.1)))
     limit = max(_MIN_INLIERS, int(np.ceil(_MARGIN * max(wrong))))
     return _fitted(np.array(errors), np.array(covariances), limit)
-
-
-def in_view(xyz: Array, map_T_cam: Array, camera: Camera) -> NDArray[np.bool_]:
-    """Which points (P, 3) lie within the image of a camera, be they hidden by walls or not, (P,)."""
-    cam = transform(inverse(map_T_cam), xyz)
-    ahead = cam[:, 2] > 0.01
-    half = 1.1 * np.array([camera.width / camera.fx, camera.height / camera.fy]) / 2
-    at = np.abs(cam[:, :2]) / np.where(ahead, cam[:, 2], 1.0)[:, None]
-    return np.asarray(ahead & (at <= half).all(axis=1))
 
 
 def _fitted(errors: Array, covariances: Array, min_inliers: int) -> Calibration:

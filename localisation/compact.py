@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.frames import Lens
-from groundwalk.localisation.map_file import Sections, packed, read_sections, write_sections
+from groundwalk.localisation.map_file import packed, read_sections, write_sections
 from groundwalk.localisation.matching import unit
 from groundwalk.localisation.pose import Priors
 from groundwalk.store.errors import UserError
@@ -120,41 +120,31 @@ def _to_sections(content: CompactMap) -> tuple[dict[str, NDArray[Any]], dict[str
 
 def read_map(path: Path) -> CompactMap:
     """A map from its file; UserError where that isn't one, or is damaged."""
-    sections = read_sections(path)
+    a, m = read_sections(path)
     try:
-        return _from_sections(sections)
+        views = np.tile(np.eye(4), (len(a["views"]), 1, 1))
+        views[:, :3] = a["views"]
+        return CompactMap(
+            scene=str(m["scene"]),
+            xyz=a["xyz"].astype(float) * m["step_m"] + m["origin_m"],
+            descriptors=unit(a["descriptors"]),
+            words=unit(a["words"]),
+            word_bounds=a["word_bounds"].astype(np.int64),
+            map_T_view=views,
+            seen=a["seen"].astype(np.int64),
+            seen_bounds=a["seen_bounds"].astype(np.int64),
+            mean=a["mean"].astype(np.float32),
+            basis=a["basis"].astype(np.float32),
+            lenses=tuple(Lens(x["focal"], tuple(x["distortion"]), x["readout_s"]) for x in m["lenses"]),
+            priors=Priors(**m["priors"]),
+            calibration=Calibration(**m["calibration"]),
+            max_features=int(m["max_features"]),
+            max_side=int(m["max_side"]),
+        )
     except (KeyError, TypeError, ValueError) as error:
         raise UserError("a map lacks a section, or has one of another type", where=path, found=error) from error
 
 
-def _from_sections(sections: Sections) -> CompactMap:
-    a, m = sections.arrays, sections.metadata
-    views = np.tile(np.eye(4), (len(a["views"]), 1, 1))
-    views[:, :3] = a["views"]
-    return CompactMap(
-        scene=str(m["scene"]),
-        xyz=a["xyz"].astype(float) * m["step_m"] + m["origin_m"],
-        descriptors=from_bytes(a["descriptors"]),
-        words=from_bytes(a["words"]),
-        word_bounds=a["word_bounds"].astype(np.int64),
-        map_T_view=views,
-        seen=a["seen"].astype(np.int64),
-        seen_bounds=a["seen_bounds"].astype(np.int64),
-        mean=a["mean"].astype(np.float32),
-        basis=a["basis"].astype(np.float32),
-        lenses=tuple(Lens(x["focal"], tuple(x["distortion"]), x["readout_s"]) for x in m["lenses"]),
-        priors=Priors(**m["priors"]),
-        calibration=Calibration(**m["calibration"]),
-        max_features=int(m["max_features"]),
-        max_side=int(m["max_side"]),
-    )
-
-
 def to_bytes(descriptors: Floats) -> NDArray[np.int8]:
-    """Unit descriptors as the file has them."""
+    """Unit descriptors as the file has them; `unit` gives them back."""
     return np.clip(np.rint(descriptors * (_BYTE / _LARGEST_COMPONENT)), -_BYTE, _BYTE).astype(np.int8)
-
-
-def from_bytes(numbers: NDArray[np.int8]) -> Floats:
-    """Unit descriptors from those of the file."""
-    return unit(numbers)

@@ -1,12 +1,33 @@
-"""Records of groundwalk's own structure localisers."""
+"""Groundwalk's own structure localisers: their records and settings."""
 
 from dataclasses import replace
 
-from groundwalk.localisation.feature_kinds import XFEAT
-from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings
-from groundwalk.localisation.localisers import LocaliserFile, StructureLocaliser
+from pydantic import Field
+
+from groundwalk.localisation.localisers import FeatureKind, LocaliserFile, LocaliserSettings, StructureLocaliser
 from groundwalk.store import colours
 from groundwalk.store.registry import Lazy
+
+
+class MapSettings(LocaliserSettings):
+    """What the compact map keeps."""
+
+    max_points: int = Field(28_000, ge=100, description="points that the map keeps")
+
+
+class HLocSettings(LocaliserSettings):
+    """How HLoc answers."""
+
+    retrieved: int = Field(20, ge=1, description="training images that a query is matched with")
+    min_inliers: int = Field(12, ge=4, description="inliers below which an answer is refused")
+
+
+XFEAT = FeatureKind(
+    "XFeat",
+    0.95,
+    Lazy("groundwalk.localisation.learned:extract_xfeat"),
+    Lazy("groundwalk.localisation.learned:match_xfeat"),
+)
 
 MAP = StructureLocaliser(
     id="Map",

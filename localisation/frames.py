@@ -56,7 +56,7 @@ def row_times(px_M2: Array, camera: Camera, readout_s: float) -> Array:
     return readout_s * readout_fraction(line, px_M2)
 
 
-def rays(views: Views, view: int, px_M2: Array) -> tuple[Array, Array]:
+def rays_of(views: Views, view: int, px_M2: Array) -> tuple[Array, Array]:
     """Where pixels (M, 2) of a frame were seen from and in which direction, both (M, 3) in the map; the directions are
     of unit depth, NaN where the lens has none."""
     camera, map_T_cam = views.cameras[view], views.map_T_cam[view]

@@ -15,12 +15,12 @@ from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.vlad import aggregate, k_means
-from groundwalk.localisation.feature_kinds import Size
+from groundwalk.localisation.entries import HLocSettings
 from groundwalk.localisation.frames import with_lens
-from groundwalk.localisation.localiser_settings import HLocSettings
+from groundwalk.localisation.localisers import Size
 from groundwalk.localisation.matching import unit
 from groundwalk.localisation.prepared import Prepared, Track, untracked
-from groundwalk.localisation.results import Clock, QueryResult, of_another_size, refused, seen_by
+from groundwalk.localisation.results import QueryResult, of_another_size, refused, seen_by
 from groundwalk.store.choices import Refusal
 
 _WORDS, _SAMPLES = 64, 25_600
@@ -31,9 +31,10 @@ class HLocLocaliser:
     """HLoc of a scene's training frames."""
 
     def __init__(self, prepared: Prepared, settings: HLocSettings, track: Track = untracked) -> None:
-        self.structure, self.lenses, self.settings = prepared.structure, prepared.lenses, settings
+        self.lenses, self.settings, self.kind = prepared.lenses, settings, prepared.kind
         self.extraction, features = prepared.settings, prepared.training.features
-        self.kind = prepared.kind
+        self.xyz = prepared.points.xyz
+        """The points (P, 3) of the training frames' tracks."""
         self._features = [replace(f, descriptors=unit(f.descriptors)) for f in features]
         self._sizes = [(camera.width, camera.height) for camera in prepared.training.logged]
         self._descriptor_bytes = features[0].descriptors[:1].nbytes
@@ -48,13 +49,7 @@ class HLocLocaliser:
         )
         self._first = np.cumsum([0, *(len(f) for f in features)])
         self._point = np.full(len(every), -1)
-        points = self.structure.points
-        self._point[points.feature] = points.point
-
-    @property
-    def xyz(self) -> Array:
-        """The points (P, 3) of the training frames' tracks."""
-        return self.structure.points.xyz
+        self._point[prepared.points.feature] = prepared.points.point
 
     def bytes_by_part(self) -> dict[str, int]:
         """What a query needs, in bytes: keypoints as two floats, descriptors as they are, image descriptors as floats,
@@ -64,7 +59,7 @@ class HLocLocaliser:
             "keypoints": 8 * count,
             "descriptors": self._descriptor_bytes * count,
             "image descriptors": self._images.nbytes + self._words.nbytes,
-            "points": 12 * len(self.structure.points.xyz),
+            "points": 12 * len(self.xyz),
             "tracks": 4 * count,
         }
 
@@ -82,46 +77,32 @@ class HLocLocaliser:
         refusal = of_another_size(grey, camera)
         if refusal:
             return refusal
-        clock = Clock()
-        with clock.part("features"):
-            features = self.kind.extract(grey, self.extraction.max_features, self.extraction.max_side)
-        return self.localise_features(features, camera, seed=seed, clock=clock)
+        features = self.kind.extract(grey, self.extraction.max_features, self.extraction.max_side)
+        return self.localise_features(features, camera, seed=seed)
 
-    def localise_features(
-        self, features: Features, camera: Camera, *, seed: int = 0, clock: Clock | None = None
-    ) -> QueryResult:
+    def localise_features(self, features: Features, camera: Camera, *, seed: int = 0) -> QueryResult:
         """The same of an image's features."""
-        clock = clock or Clock()
         camera, _ = with_lens(camera, self.lenses)
         if not len(features):
-            return refused(Refusal.FEW_FEATURES, "no features: dark or blurred?", clock)
-        with clock.part("retrieval"):
-            query = replace(features, descriptors=unit(features.descriptors))
-            alike = self._images @ aggregate(query.descriptors, self._words)
-            views = np.argsort(-alike, kind="stable")[: self.settings.retrieved]
-        with clock.part("matching"):
-            size = camera.width, camera.height
-            matches = [self._matches(query, size, int(view)) for view in views]
-            pairs = np.unique(np.concatenate(matches), axis=0)
-        px, xyz = features.px.astype(float), self.xyz
-        every = np.arange(len(xyz))
-        with clock.part("ransac"):
-            pose = None
-            if len(pairs) >= _MIN_MATCHES:
-                pose = _absolute_pose(px[pairs[:, 0]], xyz[pairs[:, 1]], camera, seed)
+            return refused(Refusal.FEW_FEATURES, "no features: dark or blurred?")
+        query = replace(features, descriptors=unit(features.descriptors))
+        alike = self._images @ aggregate(query.descriptors, self._words)
+        size: Size = (camera.width, camera.height)
+        matches = []  # keypoints of the query and points (M, 2) by matches with an image
+        for view in np.argsort(-alike, kind="stable")[: self.settings.retrieved].tolist():
+            rows = self.kind.match(query, self._features[view], size, self._sizes[view])
+            point = self._point[self._first[view] + rows[:, 1]]
+            matches.append(np.stack([rows[:, 0], point], axis=1)[point >= 0])
+        pairs = np.unique(np.concatenate(matches), axis=0)
+        px, pose = features.px.astype(float), None
+        if len(pairs) >= _MIN_MATCHES:
+            pose = _absolute_pose(px[pairs[:, 0]], self.xyz[pairs[:, 1]], camera, seed)
         inlier = np.zeros(len(pairs), bool) if pose is None else pose[1]
-        seen, needed = seen_by(px, every, pairs, pairs[inlier]), self.settings.min_inliers
+        seen, needed = seen_by(px, np.arange(len(self.xyz)), pairs, pairs[inlier]), self.settings.min_inliers
         count = int(inlier.sum())
         if pose is None or count < needed:
-            reason = f"{count} inliers, {needed} needed"
-            return refused(Refusal.THIN_EVIDENCE, reason, clock, len(pairs), count, seen)
-        return QueryResult(pose[0], None, None, "", len(pairs), count, seen, clock.seconds)
-
-    def _matches(self, query: Features, size: Size, view: int) -> NDArray[np.int64]:
-        """Keypoints of the query and points (M, 2) by matches with an image."""
-        rows = self.kind.match(query, self._features[view], size, self._sizes[view])
-        point = self._point[self._first[view] + rows[:, 1]]
-        return np.stack([rows[:, 0], point], axis=1)[point >= 0]
+            return refused(Refusal.THIN_EVIDENCE, f"{count} inliers, {needed} needed", len(pairs), count, seen)
+        return QueryResult(pose[0], None, None, "", len(pairs), count, seen)
 
 
 def _absolute_pose(px: Array, xyz: Array, camera: Camera, seed: int) -> tuple[Array, NDArray[np.bool_]] | None:

@@ -29,7 +29,6 @@ class Inputs:
     frames: pd.DataFrame
     logged: tuple[Camera, ...]
     views: Views
-    covariance: Array
     gravity: Array
 
 
@@ -47,7 +46,12 @@ def read_inputs(run: Path) -> Inputs:
     # Pose, lens, readout time and motion go together: sfm took the motion at the time offset, where it uses one.
     map_T_cam = poses_of(truth, "map_cam")
     angular, velocity = (images[[f"{name}_{a}" for a in "xyz"]].to_numpy(float) for name in ("angular", "velocity"))
-    units = _map_units(map_T_cam, poses_of(images, "sfm_cam"), truth["component"].to_numpy(int))
+    # The length of a frame's sfm unit in the map (N,), as align placed its model; 0 for a model with one place.
+    units, component_N, sfm_T_cam = np.zeros(len(truth)), truth["component"].to_numpy(int), poses_of(images, "sfm_cam")
+    for component in np.unique(component_N):
+        rows = component_N == component
+        with suppress(GeometryError):
+            units[rows] = sim3_between(map_T_cam[rows], sfm_T_cam[rows]).scale
     views = Views(
         map_T_cam,
         tuple(map(camera_of, placed.itertuples())),
@@ -55,19 +59,8 @@ def read_inputs(run: Path) -> Inputs:
         angular,
         units[:, None] * velocity,
     )
-    covariance = np.stack([np.full(36, np.nan) if c is None else np.asarray(c, float) for c in truth["covariance"]])
     gravity = frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
-    return Inputs(frames, tuple(map(camera_of, frames.itertuples())), views, covariance.reshape(-1, 6, 6), gravity)
-
-
-def _map_units(map_T_cam: Array, sfm_T_cam: Array, component_N: NDArray[np.int64]) -> Array:
-    """The length of a frame's sfm unit in the map (N,), as align placed its model; 0 for a model with one place."""
-    units = np.zeros(len(component_N))
-    for component in np.unique(component_N):
-        rows = component_N == component
-        with suppress(GeometryError):
-            units[rows] = sim3_between(map_T_cam[rows], sfm_T_cam[rows]).scale
-    return units
+    return Inputs(frames, tuple(map(camera_of, frames.itertuples())), views, gravity)
 
 
 def training_of(inputs: Inputs, rows: NDArray[np.int64], features: Sequence[Features]) -> Training:

@@ -1,4 +1,4 @@
-"""The structure localisers: what a record of one says, what one does, and those that there are."""
+"""The structure localisers: what a record of one says, what one does, and the features that it is built from."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -7,16 +7,51 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
-from groundwalk.localisation.localiser_settings import LocaliserSettings
-from groundwalk.store.registry import Colour, Entry, Registry, callable_faults, colour_faults
+from groundwalk.store.registry import Colour, Entry, Lazy, Registry, callable_faults, colour_faults
+from groundwalk.store.settings import Settings
 
 if TYPE_CHECKING:
+    from groundwalk.features.sift import Features
     from groundwalk.geometry.cameras import Camera
     from groundwalk.geometry.poses import Array
     from groundwalk.localisation.prepared import Prepared, Track
     from groundwalk.localisation.results import QueryResult
+
+Size = tuple[int, int]
+
+
+class StructureSettings(Settings):
+    """How training frames and queries are turned into features."""
+
+    max_features: int = Field(1024, ge=64, description="SIFT features kept per image, of training frames and queries")
+    max_side: int = Field(640, ge=160, description="images are shrunk to this many pixels on the longer side")
+
+
+class LocaliserSettings(Settings):
+    """Base of a structure localiser's settings."""
+
+
+@dataclass(frozen=True)
+class FeatureKind:
+    """How images are described, and a query is matched with one.
+
+    `extract(grey, max_features, max_side)` gives the features of an image (H, W), the strongest first. `match(query,
+    image, query_size, image_size)` gives rows (M, 2) of features that match; descriptors are of unit length, sizes are
+    width and height in px. Training frames, whose poses are known, are matched by mutually nearest descriptors whose
+    second nearest are farther by `ratio`, where their rays meet.
+    """
+
+    id: str
+    ratio: float
+    extract: "Callable[[NDArray[np.uint8], int, int], Features]" = field(repr=False)
+    match: "Callable[[Features, Features, Size, Size], NDArray[np.int64]]" = field(repr=False)
+
+
+SIFT = FeatureKind(
+    "SIFT", 0.85, Lazy("groundwalk.features.sift:sift"), Lazy("groundwalk.localisation.matching:match_sift")
+)
 
 
 class Localiser(Protocol):

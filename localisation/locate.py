@@ -3,12 +3,14 @@
 import json
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
-from groundwalk.runtime.bundle import Bundle, Prediction, open_bundle
+from groundwalk.runtime.bundle import Prediction, open_bundle
 from groundwalk.runtime.queries import Query, file_query, image_files, numbers
 from groundwalk.store import UserError, progress
 from groundwalk.store.choices import Refusal
@@ -17,6 +19,7 @@ from groundwalk.store.files import make_writable, written_aside
 
 if TYPE_CHECKING:
     from groundwalk.localisation.localisers import FileLocaliser
+    from groundwalk.localisation.results import QueryResult
 
 app = new_app("New images in a map's file, or by a regressor's bundle.")
 Row = dict[str, Any]
@@ -78,30 +81,20 @@ def locate(
 
 def _refuse_other_file(out: Path) -> None:
     """UserError where anything but earlier answers is there."""
-    if os.path.lexists(out) and not _holds_answers(out):
-        raise UserError(
-            "this is no file of earlier answers, which alone is replaced",
-            where=out,
-            found="a folder"
-            if out.is_dir()
-            else "a link"
-            if out.is_symlink()
-            else None
-            if out.is_file()
-            else "no file",
-            do="name another file with --out, or leave it out to have the answers printed",
-        )
-
-
-def _holds_answers(path: Path) -> bool:
-    """Whether a file, which is no link, pipe or terminal, has answers, one a line, and nothing else."""
-    if path.is_symlink() or not path.is_file():
-        return False
-    try:
-        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    except (OSError, ValueError, RecursionError):
-        return False
-    return all(isinstance(row, dict) and {"image", "refusal"} <= row.keys() for row in rows)
+    if not os.path.lexists(out):
+        return
+    kind = "a folder" if out.is_dir() else "a link" if out.is_symlink() else "" if out.is_file() else "no file"
+    if not kind:
+        with suppress(OSError, ValueError, RecursionError):
+            rows = [json.loads(line) for line in out.read_text(encoding="utf-8").splitlines()]
+            if all(isinstance(row, dict) and {"image", "refusal"} <= row.keys() for row in rows):
+                return
+    raise UserError(
+        "this is no file of earlier answers, which alone is replaced",
+        where=out,
+        found=kind or None,
+        do="name another file with --out, or leave it out to have the answers printed",
+    )
 
 
 def _answer(ask: Callable[[Query], Row], path: Path, common: Row, *, among_others: bool) -> Row:
@@ -139,24 +132,30 @@ def _asked(map_: Path | None, bundle: Path | None, scene: str, network: str, ver
         options = "neither" if map_ is None else "both"
         raise UserError("images are localised in a map or by a bundle", expected="--map or --bundle", found=options)
     if bundle is not None:
-        opened = _open(bundle, scene, network, verify)
+        opened = open_bundle(bundle, network=network or None)
+        scenes = opened.manifest["scenes"]
+        if scene and scene not in scenes:
+            raise UserError("a bundle is of another scene", where=bundle, expected=scene, found=", ".join(scenes))
+        if verify:
+            progress.console.print(f"{opened.verify()} golden queries come out as they should")
         return lambda query: _row(opened.ask(query))
     if map_ is None or network or verify:
         raise UserError("--network and --verify are about a bundle", expected="--bundle", found="--map")
     localiser = read_localiser(map_, scene)
-    from groundwalk.localisation.one_query import ask, row_of  # not for a bundle, which needs less than maps do
+    from groundwalk.localisation.results import row_of  # not for a bundle, which needs less than maps do
 
-    return lambda query: row_of(ask(localiser, query))
+    return lambda query: row_of(ask_map(localiser, query))
 
 
-def _open(bundle: Path, scene: str, network: str, verify: bool) -> Bundle:
-    opened = open_bundle(bundle, network=network or None)
-    scenes = opened.manifest["scenes"]
-    if scene and scene not in scenes:
-        raise UserError("a bundle is of another scene", where=bundle, expected=scene, found=", ".join(scenes))
-    if verify:
-        progress.console.print(f"{opened.verify()} golden queries come out as they should")
-    return opened
+def ask_map(localiser: "FileLocaliser", query: Query) -> "QueryResult":
+    """The localiser's answer."""
+    import cv2
+
+    from groundwalk.store.parallel import one_thread
+
+    grey = query.image if query.image.ndim == 2 else np.asarray(cv2.cvtColor(query.image, cv2.COLOR_RGB2GRAY), np.uint8)
+    with one_thread():
+        return localiser.localise(grey, query.camera, query.gravity, query.prior)
 
 
 def _row(prediction: Prediction) -> Row:

@@ -7,7 +7,6 @@ import hashlib
 import json
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +23,6 @@ _SECTION = struct.Struct("<16s8s3IIQQ")
 _ALIGNED = 64
 _METADATA = "metadata"
 _TYPES = {"<u1", "<u2", "<u4", "<i1", "<f2", "<f4", "<f8"}
-
-
-@dataclass(frozen=True)
-class Sections:
-    """The arrays of a map file by name, read-only, and its metadata."""
-
-    arrays: dict[str, NDArray[Any]]
-    metadata: dict[str, Any]
 
 
 def write_sections(path: Path, arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, Any]) -> None:
@@ -60,8 +51,9 @@ def packed(arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, Any]) -> b
     return _HEADER.pack(MAGIC, MAJOR, MINOR, len(everything), _HEADER.size + len(rest), digest) + rest
 
 
-def read_sections(path: Path) -> Sections:
-    """The arrays of a map file, mapped into memory; UserError where it isn't one, is cut short, damaged or newer."""
+def read_sections(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """The arrays of a map file by name, mapped into memory and read-only, and its metadata; UserError where it isn't
+    one, is cut short, damaged or newer."""
     try:
         content = np.memmap(path, np.uint8, "r")
     except (OSError, ValueError) as error:
@@ -87,5 +79,4 @@ def read_sections(path: Path) -> Sections:
         name, code, *shape, dimensions, offset, size = _SECTION.unpack(bytes(content[at : at + _SECTION.size]))
         array = content[offset : offset + size].view(np.dtype(code.rstrip(b"\0").decode()))
         arrays[name.rstrip(b"\0").decode()] = array.reshape(shape[:dimensions])
-    metadata = json.loads(bytes(arrays.pop(_METADATA)))
-    return Sections(arrays, metadata)
+    return arrays, json.loads(bytes(arrays.pop(_METADATA)))

@@ -20,8 +20,6 @@ _CONVERGED = 5e-5  # rad, m
 _MIN_POINTS = 6
 _SCORED, _FINALISTS = 100, 20
 _UNKNOWNS = 13
-
-
 NO_VERTICAL = float(np.pi)
 """The `gravity_sd` of a map whose +y isn't up."""
 
@@ -108,7 +106,11 @@ def upright_ransac(
     count = len(ideal_M2)
     if count < 2:
         return None
-    up_R_cam = _upright_from(gravity)
+    # A rotation that turns gravity, in the camera's axes, to -y.
+    up = -gravity / np.linalg.norm(gravity)
+    side = np.cross(up, [0, 0, 1.0] if abs(up[2]) < 0.9 else [1.0, 0, 0])
+    side /= np.linalg.norm(side)
+    up_R_cam = np.stack([side, up, np.cross(side, up)])
     ray = np.concatenate([ideal_M2, np.ones((count, 1))], axis=1) @ up_R_cam.T
     rng = np.random.default_rng(seed)
     first = rng.integers(0, count, trials)
@@ -168,14 +170,6 @@ def upright_poses(ray_a: Array, ray_b: Array, xyz_a: Array, xyz_b: Array) -> tup
     return rotation, a * ray_a[pair] - np.einsum("sij,sj->si", rotation, xyz_a[pair])
 
 
-def _upright_from(gravity: Array) -> Array:
-    """A rotation (3, 3) that turns gravity, in the camera's axes, to -y."""
-    up = -gravity / np.linalg.norm(gravity)
-    side = np.cross(up, [0, 0, 1.0] if abs(up[2]) < 0.9 else [1.0, 0, 0])
-    side /= np.linalg.norm(side)
-    return np.stack([side, up, np.cross(side, up)])
-
-
 def refine(
     map_T_cam: Array,
     seen: Observed,
@@ -197,10 +191,11 @@ def refine(
     information[6:9], information[9:12] = priors.angular_sd**-2, priors.velocity_sd**-2
     information[12] = priors.focal_sd**-2
     rotation, position, rest = map_T_cam[:3, :3].copy(), map_T_cam[:3, 3].copy(), np.zeros(7)
-    of_points = np.zeros((len(seen.xyz), 3))
+    of_points = np.zeros((len(seen.xyz), 3))  # covariances of points in the image, px^2: xx, xy, yy
     if seen.covariance is not None:
-        slope = _linear(rotation, position, rest, seen, time_s, focal)[1][:, :, 3:6]
-        of_points = _projected(seen.covariance, rotation, slope)
+        slope = _linear(rotation, position, rest, seen, time_s, focal)[1][:, :, 3:6] @ rotation.T
+        image = slope @ seen.covariance @ slope.transpose(0, 2, 1)
+        of_points = np.stack([image[:, 0, 0], image[:, 0, 1], image[:, 1, 1]], axis=1)
     variance = (of_points[:, 0] + of_points[:, 2]) / 2
     sure = variance <= _median(variance)
     sure_variance = _median(variance[sure])
@@ -217,7 +212,11 @@ def refine(
         gradient = weighted.T @ white.ravel()
         gradient[6:] += information[6:] * rest
         if gravity is not None:
-            hessian[:3, :3], gradient[:3] = _with_gravity(hessian[:3, :3], gradient[:3], rotation, gravity, priors)
+            # (gravity - its prediction) / sd
+            predicted = rotation.T @ [0, -1.0, 0]
+            by_turn, certainty = -skew(predicted), 1 / priors.gravity_sd**2
+            hessian[:3, :3] += certainty * by_turn.T @ by_turn
+            gradient[:3] += certainty * by_turn.T @ (gravity - predicted)
         step = -np.linalg.solve(hessian + 1e-9 * np.eye(_UNKNOWNS), gradient)
         position = position + rotation @ step[3:6]
         rotation = rotation @ _turn(step[:3])
@@ -245,14 +244,6 @@ def _turn(vector: Array) -> Array:
     return np.asarray(np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * across @ across)
 
 
-def _projected(covariance_M33: Array, rotation: Array, slope_M23: Array) -> Array:
-    """Covariances of points in the image, px^2, as xx, xy, yy (M, 3); `slope_M23` is that of residuals by the camera's
-    position in its axes."""
-    slope = slope_M23 @ rotation.T
-    image = slope @ covariance_M33 @ slope.transpose(0, 2, 1)
-    return np.stack([image[:, 0, 0], image[:, 0, 1], image[:, 1, 1]], axis=1)
-
-
 def _median(values: Array) -> float:
     """The upper median, in a tenth of the time of numpy's."""
     return float(np.partition(values, len(values) // 2)[len(values) // 2])
@@ -270,16 +261,6 @@ def _whitened(residual: Array, jacobian: Array, covariance_M3: Array) -> tuple[A
     rows[:, 0] = jacobian[:, 0] * a[:, None]
     rows[:, 1] = (jacobian[:, 1] - b[:, None] * rows[:, 0]) * c[:, None]
     return white, rows
-
-
-def _with_gravity(
-    hessian: Array, gradient: Array, rotation: Array, gravity: Array, priors: Priors
-) -> tuple[Array, Array]:
-    """Hessian (3, 3) and gradient (3,) by rotation, with gravity's part: (gravity - its prediction) / sd."""
-    predicted = rotation.T @ [0, -1.0, 0]
-    slope = -skew(predicted)
-    weight = 1 / priors.gravity_sd**2
-    return hessian + weight * slope.T @ slope, gradient + weight * slope.T @ (gravity - predicted)
 
 
 def _linear(

@@ -13,7 +13,7 @@ from groundwalk.geometry.poses import Array, skew
 from groundwalk.localisation.compact import CompactMap, bytes_by_section, point_covariances, read_map, write_map
 from groundwalk.localisation.frames import row_times, with_lens
 from groundwalk.localisation.pose import NO_VERTICAL, Fit, Observed, Priors, ransac, refine, upright_ransac
-from groundwalk.localisation.results import Clock, QueryResult, of_another_size, refused, seen_by
+from groundwalk.localisation.results import QueryResult, of_another_size, refused, seen_by
 from groundwalk.store.choices import Refusal
 
 Ints = NDArray[np.int64]
@@ -48,22 +48,12 @@ class MapLocaliser:
     """Localises images in a compact map."""
 
     def __init__(self, content: CompactMap) -> None:
-        self.map = content
+        self.map, self.xyz, self.scene = content, content.xyz, content.scene
         views = np.repeat(np.arange(len(content.map_T_view)), np.diff(content.seen_bounds))
         order = np.argsort(content.seen, kind="stable")
         self._seen_by = views[order]
         self._seen_by_bounds = np.searchsorted(content.seen[order], np.arange(len(content.xyz) + 1))
         self._covariance = point_covariances(content)
-
-    @property
-    def xyz(self) -> Array:
-        """The map's points (P, 3)."""
-        return self.map.xyz
-
-    @property
-    def scene(self) -> str:
-        """The scene of the map."""
-        return self.map.scene
 
     def bytes_by_part(self) -> dict[str, int]:
         """The sizes of the file's sections."""
@@ -86,26 +76,19 @@ class MapLocaliser:
         refusal = of_another_size(grey, camera)
         if refusal:
             return refusal
-        clock = Clock()
         best: QueryResult | None = None
         # Near a prior a smaller image is enough for most; where the answer isn't sure, the whole one is asked without
         # the prior, which may be what is wrong.
         for attempt in (_NEAR_PRIOR, _WHOLE) if prior is not None else (_WHOLE,):
-            with clock.part("features"):
-                count, side = (round(part * of) for part, of in zip(attempt, self._extraction, strict=True))
-                features = sift(grey, count, side)
+            features = sift(grey, round(attempt[0] * self.map.max_features), round(attempt[1] * self.map.max_side))
             guess = prior if attempt == _NEAR_PRIOR else None
-            answer = self.localise_features(features, camera, gravity, guess, seed=seed, clock=clock)
+            answer = self.localise_features(features, camera, gravity, guess, seed=seed)
             if best is None or answer.map_T_cam is not None or best.map_T_cam is None:
                 best = answer
             if answer.covariance is not None and np.trace(answer.covariance[3:, 3:]) <= _SURE_M**2:
                 break
         assert best is not None
         return best
-
-    @property
-    def _extraction(self) -> tuple[int, int]:
-        return self.map.max_features, self.map.max_side
 
     def localise_features(
         self,
@@ -115,57 +98,39 @@ class MapLocaliser:
         prior: Array | None = None,
         *,
         seed: int = 0,
-        clock: Clock | None = None,
         hidden: NDArray[np.bool_] | None = None,
     ) -> QueryResult:
         """The same of an image's features; points that are `hidden` (P,) are taken as not there."""
-        clock = clock or Clock()
         if self.map.priors.gravity_sd >= NO_VERTICAL:
             gravity = None
         if len(features) < _MIN_FEATURES:
-            return refused(
-                Refusal.FEW_FEATURES, f"{len(features)} features, {_MIN_FEATURES} needed: dark or blurred?", clock
-            )
+            return refused(Refusal.FEW_FEATURES, f"{len(features)} features, {_MIN_FEATURES} needed: dark or blurred?")
         camera, readout_s = with_lens(camera, self.map.lenses)
-        with clock.part("retrieval"):
-            query = self.map.projected(features.descriptors)
-            views = self._views_near(prior) if prior is not None else self._views_by_votes(query[:_VOTERS], hidden)
-            rows = self._points_of(views)
-            rows = rows if hidden is None else rows[~hidden[rows]]
-        with clock.part("matching"):
-            product = query @ self.map.descriptors[rows].T
-            matches = _ratio_matches(product, _RATIO)
-            asked = _Query(
-                features.px.astype(float),
-                camera.unproject(features.px.astype(float)),
-                self.map.xyz[rows],
-                self._covariance[rows],
-                camera,
-                readout_s,
-                gravity,
-            )
-            matches = matches[np.isfinite(asked.ideal[matches[:, 0]]).all(axis=1)]
-        none = np.empty((0, 2), np.int64)
-        seen = seen_by(asked.px, rows, matches, none)
-        if len(matches) < _MIN_MATCHES:
-            return refused(
-                Refusal.FEW_MATCHES, f"{len(matches)} matches, {_MIN_MATCHES} needed", clock, len(matches), 0, seen
-            )
-        with clock.part("ransac"):
-            solution = asked.pose(matches, seed)
+        query, bounds = self.map.projected(features.descriptors), self.map.seen_bounds
+        views = self._views_near(prior) if prior is not None else self._views_by_votes(query[:_VOTERS], hidden)
+        rows = np.unique(np.concatenate([self.map.seen[bounds[v] : bounds[v + 1]] for v in views.tolist()]))
+        rows = rows if hidden is None else rows[~hidden[rows]]
+        product = query @ self.map.descriptors[rows].T
+        px = features.px.astype(float)
+        asked = _Query(px, camera.unproject(px), self.xyz[rows], self._covariance[rows], camera, readout_s, gravity)
+        matches = _ratio_matches(product, _RATIO)
+        matches = matches[np.isfinite(asked.ideal[matches[:, 0]]).all(axis=1)]
+        count, seen = len(matches), seen_by(px, rows, matches, np.empty((0, 2), np.int64))
+        if count < _MIN_MATCHES:
+            return refused(Refusal.FEW_MATCHES, f"{count} matches, {_MIN_MATCHES} needed", count, 0, seen)
+        solution = asked.pose(matches, seed)
         if solution is None or solution[1].sum() < _MIN_POSE:
-            reason = f"no pose explains {_MIN_POSE} of {len(matches)} matches"
-            return refused(Refusal.NO_POSE, reason, clock, len(matches), 0, seen)
-        with clock.part("refinement"):
-            fit, inliers = self._refined(solution[0], matches[solution[1]], product, asked)
-        seen, limit = seen_by(asked.px, rows, matches, inliers), self.map.calibration.min_inliers
+            return refused(Refusal.NO_POSE, f"no pose explains {_MIN_POSE} of {count} matches", count, 0, seen)
+        fit, inliers = self._refined(solution[0], matches[solution[1]], product, asked)
+        seen, calibration = seen_by(px, rows, matches, inliers), self.map.calibration
         # What the pose itself brought to the keypoints near where it predicts points is no evidence for it.
-        agreeing = _common(matches, inliers)
-        if fit is None or agreeing < limit:
-            reason = f"{agreeing} inliers, {limit} needed"
-            return refused(Refusal.THIN_EVIDENCE, reason, clock, len(matches), agreeing, seen)
-        covariance = self._calibrated(fit.covariance)
-        return QueryResult(fit.map_T_cam, covariance, None, "", len(matches), agreeing, seen, clock.seconds)
+        agreeing = len(set(map(tuple, matches.tolist())) & set(map(tuple, inliers.tolist())))
+        if fit is None or agreeing < calibration.min_inliers:
+            reason = f"{agreeing} inliers, {calibration.min_inliers} needed"
+            return refused(Refusal.THIN_EVIDENCE, reason, count, agreeing, seen)
+        floor = np.diag(np.repeat([calibration.rotation_floor_rad, calibration.position_floor_m], 3) ** 2)
+        covariance = calibration.covariance_factor**2 * fit.covariance + floor
+        return QueryResult(fit.map_T_cam, covariance, None, "", count, agreeing, seen)
 
     def _views_by_votes(self, query: Floats, hidden: NDArray[np.bool_] | None) -> Ints:
         """Training frames that saw most of the points that look like the query's features."""
@@ -191,15 +156,12 @@ class MapLocaliser:
             best[rows] = np.maximum(best[rows], top)
         sure = np.flatnonzero(1 - best < _VOTE_RATIO**2 * (1 - second))
         points = np.unique(nearest[sure])
-        votes = self._votes(points if hidden is None else points[~hidden[points]])
-        return np.argsort(-votes, kind="stable")[:_VIEWS]
-
-    def _votes(self, points: Ints) -> Array:
-        """How many of the points each training frame saw, (V,)."""
+        points = points if hidden is None else points[~hidden[points]]
+        # How many of the points each training frame saw.
         counts = self._seen_by_bounds[points + 1] - self._seen_by_bounds[points]
         within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
         views = self._seen_by[np.repeat(self._seen_by_bounds[points], counts) + within]
-        return np.bincount(views, minlength=len(self.map.map_T_view)).astype(float)
+        return np.argsort(-np.bincount(views, minlength=len(content.map_T_view)), kind="stable")[:_VIEWS]
 
     def _views_near(self, map_T_cam: Array) -> Ints:
         """Training frames nearest to a pose: a metre counts as much as 15 degrees."""
@@ -207,10 +169,6 @@ class MapLocaliser:
         cosine = self.map.map_T_view[:, :3, 2] @ map_T_cam[:3, 2]
         turned = np.degrees(np.arccos(np.clip(cosine, -1, 1))) / 15
         return np.argsort(np.hypot(away, turned), kind="stable")[:_VIEWS]
-
-    def _points_of(self, views: Ints) -> Ints:
-        bounds = self.map.seen_bounds
-        return np.unique(np.concatenate([self.map.seen[bounds[v] : bounds[v + 1]] for v in views.tolist()]))
 
     def _refined(self, map_T_cam: Array, matches: Ints, product: Floats, asked: "_Query") -> tuple[Fit | None, Ints]:
         """The refined pose and its inliers (keypoint, point): first of RANSAC's matches, then of all points that it
@@ -228,11 +186,6 @@ class MapLocaliser:
         if len(matches) < _MIN_POSE:
             return None, matches
         return asked.refined(fit.map_T_cam, matches, priors), matches
-
-    def _calibrated(self, covariance: Array) -> Array:
-        c = self.map.calibration
-        floor = np.diag(np.r_[np.full(3, c.rotation_floor_rad), np.full(3, c.position_floor_m)] ** 2)
-        return c.covariance_factor**2 * covariance + floor
 
 
 @dataclass(frozen=True)
@@ -317,12 +270,6 @@ def _ratio_matches(product: Floats, ratio: float) -> Ints:
     first = np.unique(nearest[kept], return_index=True)[1]
     kept = np.sort(kept[first])
     return np.stack([kept, nearest[kept]], axis=1)
-
-
-def _common(matches: Ints, others: Ints) -> int:
-    """How many pairs (M, 2) are among others (N, 2)."""
-    wide = 1 + max(matches[:, 1].max(initial=0), others[:, 1].max(initial=0))
-    return int(np.isin(matches[:, 0] * wide + matches[:, 1], others[:, 0] * wide + others[:, 1]).sum())
 
 
 def _scale(camera: Camera) -> float:

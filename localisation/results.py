@@ -1,17 +1,15 @@
 """What a localiser says of an image: a pose with its evidence, or a refusal with its reason."""
 
 import json
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.geometry.cameras import Camera
-from groundwalk.geometry.poses import Array
+from groundwalk.geometry.poses import Array, tq_from_pose
 from groundwalk.store.choices import Refusal
 from groundwalk.store.files import written_aside
 
@@ -36,8 +34,7 @@ class QueryResult:
     """A pose map_T_cam (4, 4) with its covariance (6, 6) of (rotation, position) in the map's axes, rad and m, where
     the localiser gives one; or neither, with the `refusal` and its `reason`, the figures.
 
-    `candidates` keypoints were matched with points, `inliers` keypoints agree with the pose; `seen` has both. Seconds
-    by part.
+    `candidates` keypoints were matched with points, `inliers` keypoints agree with the pose; `seen` has both.
     """
 
     map_T_cam: Array | None
@@ -47,27 +44,13 @@ class QueryResult:
     candidates: int
     inliers: int
     seen: Seen
-    seconds: dict[str, float]
-
-
-@dataclass
-class Clock:
-    """Seconds by part."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def part(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
 
 def refused(
-    refusal: Refusal, reason: str, clock: Clock, candidates: int = 0, inliers: int = 0, seen: Seen = NOTHING_SEEN
+    refusal: Refusal, reason: str, candidates: int = 0, inliers: int = 0, seen: Seen = NOTHING_SEEN
 ) -> QueryResult:
     """An answer without a pose."""
-    return QueryResult(None, None, refusal, reason, candidates, inliers, seen, clock.seconds)
+    return QueryResult(None, None, refusal, reason, candidates, inliers, seen)
 
 
 def of_another_size(grey: NDArray[np.uint8], camera: Camera) -> QueryResult | None:
@@ -75,7 +58,7 @@ def of_another_size(grey: NDArray[np.uint8], camera: Camera) -> QueryResult | No
     if grey.shape[:2] == (camera.height, camera.width):
         return None
     sizes = f"image {grey.shape[1]} x {grey.shape[0]} px, intrinsics for {camera.width} x {camera.height} px"
-    return refused(Refusal.IMAGE_SIZE, sizes, Clock())
+    return refused(Refusal.IMAGE_SIZE, sizes)
 
 
 def seen_by(px: Array, points: Ints, matches: Ints, inliers: Ints) -> Seen:
@@ -86,9 +69,21 @@ def seen_by(px: Array, points: Ints, matches: Ints, inliers: Ints) -> Seen:
     return Seen(px[both[:, 0]], points[both[:, 1]], np.arange(len(both)) < len(inliers))
 
 
+def row_of(answer: QueryResult) -> dict[str, Any]:
+    """An answer as plain values: position, m, and quaternion x, y, z, w of map_T_cam, and its covariance (36 numbers);
+    or null, with the refusal and its reason."""
+    row: dict[str, Any] = dict.fromkeys(("position_m", "quaternion", "covariance"))
+    if answer.map_T_cam is not None:
+        position, quaternion = tq_from_pose(answer.map_T_cam[None])
+        row |= {"position_m": position[0].tolist(), "quaternion": quaternion[0].tolist()}
+        row["covariance"] = None if answer.covariance is None else answer.covariance.ravel().tolist()
+    counts = {"inliers": answer.inliers, "candidates": answer.candidates}
+    return row | counts | {"refusal": answer.refusal, "reason": answer.reason or None}
+
+
 def write_result(path: Path, answer: QueryResult, cost_s: tuple[float, float]) -> None:
     """Write an answer, and its seconds on the clock and of all cores, as a checkpoint."""
-    evidence = {name: getattr(answer, name) for name in ("refusal", "reason", "candidates", "inliers", "seconds")}
+    evidence = {name: getattr(answer, name) for name in ("refusal", "reason", "candidates", "inliers")}
     with written_aside(path) as partial, partial.open("wb") as file:
         np.savez(
             file,

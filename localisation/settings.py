@@ -2,8 +2,7 @@
 
 from pydantic import Field, SerializeAsAny, ValidationInfo, field_validator
 
-from groundwalk.localisation.localiser_settings import LocaliserSettings, StructureSettings
-from groundwalk.localisation.localisers import LOCALISERS
+from groundwalk.localisation.localisers import LOCALISERS, LocaliserSettings, StructureSettings
 from groundwalk.store.choices import Split
 
 

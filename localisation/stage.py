@@ -12,14 +12,12 @@ import pandas as pd
 
 from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
-from groundwalk.localisation.feature_kinds import FeatureKind
 from groundwalk.localisation.inputs import read_inputs, training_of
-from groundwalk.localisation.localisers import LOCALISERS, Localiser
-from groundwalk.localisation.prepared import Prepared, match, prepared_from
+from groundwalk.localisation.localisers import LOCALISERS, FeatureKind, Localiser
+from groundwalk.localisation.prepared import MIN_POINTS, Prepared, match, prepare
 from groundwalk.localisation.record import blueprint, record
 from groundwalk.localisation.results import QueryResult, read_result, write_result
 from groundwalk.localisation.settings import LocaliseSettings
-from groundwalk.localisation.structure import MIN_POINTS
 from groundwalk.scoring.errors import position_error, rotation_error_deg, sure_enough
 from groundwalk.scoring.scores import score
 from groundwalk.store import StageRun, UserError
@@ -40,12 +38,11 @@ _WRONG_M, _WRONG_DEG = 1.0, 5.0
 
 @dataclass(frozen=True)
 class LocaliserRun:
-    """A localiser's row of `models`, its rows of `storage`, its points (P, 3), and what it says of each query (Q) at
-    which cost (Q, 2), s: on the clock and of all cores."""
+    """A localiser, its row of `models`, and what it says of each query (Q) at which cost (Q, 2), s: on the clock and of
+    all cores."""
 
+    localiser: Localiser
     model: dict[str, Any]
-    storage: dict[str, int]
-    xyz: Array
     results: list[QueryResult]
     cost_s: Array
 
@@ -64,7 +61,7 @@ def run(r: StageRun[LocaliseSettings]) -> None:
             kind = LOCALISERS[name].features
             try:
                 with LOCALISERS.guard(name):
-                    prepared[kind] = prepared.get(kind) or prepare(r, kind)
+                    prepared[kind] = prepared.get(kind) or prepare_training(r, kind)
                     runs[name] = run_localiser(r, name, prepared[kind], queries)
             except PluginError as fault:
                 faults.append(fault)
@@ -74,12 +71,12 @@ def run(r: StageRun[LocaliseSettings]) -> None:
         write_tables(r, queries, runs)
         with r.step("recording"), r.recording(blueprint(list(runs))) as stream:
             results = {name: each.results for name, each in runs.items()}
-            points = {name: each.xyz for name, each in runs.items()}
+            points = {name: each.localiser.xyz for name, each in runs.items()}
             truth = r.read("align", "ground_truth")
             record(stream, queries, truth, points, results, lambda image: r.image_path(str(image)))
 
 
-def prepare(r: StageRun[LocaliseSettings], kind: FeatureKind) -> Prepared:
+def prepare_training(r: StageRun[LocaliseSettings], kind: FeatureKind) -> Prepared:
     """The training frames with ground truth, their features, matches and points; UserError where they are too few."""
     inputs = read_inputs(r.data.run(r.profile, r.scene.name))
     rows = np.flatnonzero((inputs.frames["split"] == "train").to_numpy())
@@ -101,8 +98,8 @@ def prepare(r: StageRun[LocaliseSettings], kind: FeatureKind) -> Prepared:
                 np.save(begun, pairs)
         pairs = np.load(file)
     with r.step("points"):
-        prepared = prepared_from(r.scene.name, training, r.settings, pairs, kind)
-    points = len(prepared.structure.points.xyz)
+        prepared = prepare(r.scene.name, training, r.settings, kind, pairs)
+    points = len(prepared.points.xyz)
     r.figure(f"{kind.id} points", points)
     r.say(f"{points} points of {kind.id} features, seen by {len(rows)} training frames")
     if points < MIN_POINTS:
@@ -137,27 +134,25 @@ def features_of(r: StageRun[LocaliseSettings], images: "pd.Series[str]", kind: F
 def run_localiser(r: StageRun[LocaliseSettings], name: str, prepared: Prepared, queries: pd.DataFrame) -> LocaliserRun:
     """A localiser, built, and what it says of each query."""
     entry, settings = LOCALISERS[name], r.settings.localisers[name]
-    file, path = "" if entry.file is None else f"{name.lower()}{entry.file.suffix}", None
+    path = None if entry.file is None else r.work / f"{name.lower()}{entry.file.suffix}"
     with r.step(f"build {name}"):
         began = time.process_time()
-        if entry.file is None:
+        if entry.file is None or path is None:
             localiser: Localiser = entry.build(prepared, settings, r.track)
         else:
-            path = r.work / file
             if not path.exists():
                 entry.file.write(path, entry.build(prepared, settings, r.track))
             localiser = entry.file.read(path)
         build_s = time.process_time() - began
     results, cost_s = ask_all(r, name, localiser, queries)
-    storage = localiser.bytes_by_part()
     medians = np.median(1000 * cost_s, axis=0).tolist() if len(cost_s) else [None, None]
     shared = {key: getattr(r.settings, key) for key in ("max_features", "max_side")}
     model = {
         "model": name,
         "label": entry.label,
         "meaning": entry.meaning,
-        "file": file,
-        "bytes": sum(storage.values()) if path is None else path.stat().st_size,
+        "file": "" if path is None else path.name,
+        "bytes": sum(localiser.bytes_by_part().values()) if path is None else path.stat().st_size,
         "points": len(localiser.xyz),
         "train_frames": len(prepared.training.views),
         "seed": r.seed,
@@ -168,7 +163,7 @@ def run_localiser(r: StageRun[LocaliseSettings], name: str, prepared: Prepared, 
         "build_cpu_seconds": build_s,
     }
     report_accuracy(r, name, queries, results)
-    return LocaliserRun(model, storage, localiser.xyz, results, cost_s)
+    return LocaliserRun(localiser, model, results, cost_s)
 
 
 def ask_all(
@@ -243,31 +238,27 @@ def errors_of(results: Sequence[QueryResult], truth: Array) -> tuple[Array, Arra
 
 def write_tables(r: StageRun[LocaliseSettings], queries: pd.DataFrame, runs: dict[str, LocaliserRun]) -> None:
     """The stage's tables, of any number of localisers."""
-    rows: dict[str, list[pd.DataFrame]] = {"predictions": [], "models": [], "storage": []}
-    for name, each in runs.items():
+    tables: dict[str, list[pd.DataFrame]] = {"predictions": [], "models": [], "storage": []}
+    none = np.full((4, 4), np.nan)
+    for name, run in runs.items():
+        poses = np.array([none if a.map_T_cam is None else a.map_T_cam for a in run.results]).reshape(-1, 4, 4)
+        said = {
+            "covariance": [None if a.covariance is None else a.covariance.ravel().tolist() for a in run.results],
+            "inference_ms": 1000 * run.cost_s[:, 0],
+            "cpu_ms": 1000 * run.cost_s[:, 1],
+            "inliers": [a.inliers for a in run.results],
+            "candidates": [a.candidates for a in run.results],
+            "refusal": [a.refusal for a in run.results],
+            "reason": [a.reason or None for a in run.results],
+        }
         keys = queries[["frame_id", "session_id", "split", "t_ns"]]
-        predictions = predictions_of(each).assign(model=name, scene=r.scene.name, picked_scene=r.scene.name)
-        rows["predictions"].append(pd.concat([keys, predictions], axis=1))
-        rows["models"].append(pd.DataFrame([each.model]))
-        parts, bytes_ = list(each.storage), list(each.storage.values())
-        rows["storage"].append(pd.DataFrame({"model": name, "part": parts, "bytes": bytes_}))
-    for table, found in rows.items():
-        columns = schema("localise", table).column_names
-        found = [each for each in found if len(each)]
-        r.write(table, pd.concat(found, ignore_index=True)[columns] if found else pd.DataFrame(columns=columns))
-
-
-def predictions_of(run: LocaliserRun) -> pd.DataFrame:
-    """What a localiser says of each query, as columns of `predictions`."""
-    results, none = run.results, np.full((4, 4), np.nan)
-    poses = np.array([none if a.map_T_cam is None else a.map_T_cam for a in results]).reshape(-1, 4, 4)
-    columns = {
-        "covariance": [None if a.covariance is None else a.covariance.ravel().tolist() for a in results],
-        "inference_ms": 1000 * run.cost_s[:, 0],
-        "cpu_ms": 1000 * run.cost_s[:, 1],
-        "inliers": [a.inliers for a in results],
-        "candidates": [a.candidates for a in results],
-        "refusal": [a.refusal for a in results],
-        "reason": [a.reason or None for a in results],
-    }
-    return pd.concat([pose_frame("map_cam", poses), pd.DataFrame(columns)], axis=1)
+        of_model = {"model": name, "scene": r.scene.name, "picked_scene": r.scene.name}
+        columns = [keys, pose_frame("map_cam", poses), pd.DataFrame(said)]
+        tables["predictions"].append(pd.concat(columns, axis=1).assign(**of_model))
+        tables["models"].append(pd.DataFrame([run.model]))
+        storage = run.localiser.bytes_by_part()
+        parts, sizes = list(storage), list(storage.values())
+        tables["storage"].append(pd.DataFrame({"model": name, "part": parts, "bytes": sizes}))
+    for table, of_models in tables.items():
+        names, rows = schema("localise", table).column_names, [each for each in of_models if len(each)]
+        r.write(table, pd.concat(rows, ignore_index=True)[names] if rows else pd.DataFrame(columns=names))

@@ -84,7 +84,9 @@ def triangulate(rays: Rays, point: Ints, feature: Ints, max_px: float, min_angle
         worst = _worst(point, residual, residual > max_px) | _worse_of_frame(point, seen.view, residual)
         if not worst.any():
             break
-        point, feature = _of_two(point[~worst], feature[~worst])
+        point, feature = point[~worst], feature[~worst]
+        two = np.bincount(point)[point] > 1
+        point, feature = np.unique(point[two], return_inverse=True)[1].astype(np.int64), feature[two]
     xyz, information, residual = _adjusted(rays[feature], point, max_px)
     bad = np.zeros(int(point.max(initial=-1)) + 1, bool)
     bad[point[~(residual <= max_px)]] = True
@@ -133,12 +135,6 @@ def _worse_of_frame(point: Ints, view: Ints, residual: Array) -> NDArray[np.bool
     worse = np.zeros(len(point), bool)
     worse[order[1:][again]] = True
     return worse
-
-
-def _of_two(point: Ints, feature: Ints) -> tuple[Ints, Ints]:
-    """Observations of points that still have two, points numbered anew."""
-    kept = np.bincount(point)[point] > 1
-    return np.unique(point[kept], return_inverse=True)[1].astype(np.int64), feature[kept]
 
 
 def _widest_angle(seen: Rays, point: Ints, xyz: Array) -> Array:

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -14,12 +13,12 @@ from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store.files import sha256_of, write_json
 from groundwalk.store.schemas import schema, stage_tables
 from groundwalk.store.settings import DataRoot
-from groundwalk.store.tables import pose_frame, pose_prefixes, read_table, write_table
+from groundwalk.store.tables import pose_frame, read_table, write_table
+from tests.groundwalk.made_up_run import filled
 
 COUNT, WIDTH, HEIGHT, FOCAL = 18, 320, 240, 300.0
 TEST, VAL = np.arange(COUNT) % 5 == 2, np.arange(COUNT) == 8
 CAMERA = {"width": WIDTH, "height": HEIGHT, "fx": FOCAL, "fy": FOCAL, "cx": 160.0, "cy": 120.0}
-_DEFAULTS = {"float64": 0.0, "int64": 0, "bool": False, "string": "", "list<float64>": [], "list<string>": []}
 
 
 @dataclass(frozen=True)
@@ -91,18 +90,6 @@ def _boards(root: Path, frames: int) -> Boards:
         write_json(folder / "manifest.json", about | {"key": "", "simulated": True})
     made.note_images()
     return made
-
-
-def filled(stage: str, table: str, count: int, **columns: Any) -> pd.DataFrame:
-    """A table of its schema: null where that may be, elsewhere the first choice, zero or nothing, but for the
-    columns given."""
-    of = schema(stage, table)
-    values = {
-        c.name: [None if c.nullable else next(iter(c.choices)) if c.choices else _DEFAULTS[c.dtype]] * count
-        for c in of.columns
-    }
-    values |= {f"{prefix}_qw": [1.0] * count for prefix in pose_prefixes(of)}
-    return pd.DataFrame(values, dtype=object).assign(**columns)
 
 
 def board(rng: np.random.Generator) -> np.ndarray:

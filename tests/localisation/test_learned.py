@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from groundwalk.localisation import learned
 from groundwalk.localisation.definition import STAGE
-from groundwalk.localisation.feature_kinds import SIFT, XFEAT, FeatureKind
+from groundwalk.localisation.entries import XFEAT
+from groundwalk.localisation.localisers import SIFT, FeatureKind
 from groundwalk.localisation.matching import unit
 from groundwalk.scoring.errors import position_error
 from groundwalk.store import UserError, execute

@@ -15,9 +15,9 @@ from groundwalk.geometry.poses import Array
 from groundwalk.localisation.build import build_map, priors_of
 from groundwalk.localisation.calibration import Trial, calibrated
 from groundwalk.localisation.compact import CompactMap, point_covariances, read_map, write_map
-from groundwalk.localisation.hloc import HLocLocaliser
-from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings, StructureSettings
-from groundwalk.localisation.map_file import read_sections, write_sections
+from groundwalk.localisation.entries import MapSettings
+from groundwalk.localisation.localisers import StructureSettings
+from groundwalk.localisation.map_file import write_sections
 from groundwalk.localisation.prepared import Prepared, prepare
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.scoring.errors import position_error, rotation_error_deg
@@ -72,7 +72,7 @@ def test_a_high_image_is_localised_in_a_map_of_wide_ones(built: Built, file: Pat
 def test_a_map_without_a_vertical_takes_no_notice_of_gravity(built: Built, file: Path) -> None:
     scene, prepared, _ = built
     unknown = replace(prepared.training, gravity=np.full_like(prepared.training.gravity, np.nan))
-    content = replace(read_map(file), priors=priors_of(unknown, prepared.structure))
+    content = replace(read_map(file), priors=priors_of(replace(prepared, training=unknown), prepared.points))
     views = walk(4, seed=9)
     for view in range(4):
         seen = features(scene, views, view, seed=5)
@@ -81,26 +81,13 @@ def test_a_map_without_a_vertical_takes_no_notice_of_gravity(built: Built, file:
         np.testing.assert_array_equal(there(told.map_T_cam), there(not_told.map_T_cam))
 
 
-def test_hloc_localises_the_same(built: Built) -> None:
-    hloc = HLocLocaliser(built[1], HLocSettings(retrieved=5))
-    views = walk(3, seed=9, moving=False)
-    for view in range(3):
-        answer = hloc.localise_features(features(built[0], views, view, seed=5), LOGGED)
-        assert position_error(there(answer.map_T_cam), views.map_T_cam[view]) < 0.05
-    parts = hloc.bytes_by_part()
-    assert parts["descriptors"] == 128 * sum(len(f) for f in built[1].training.features)
-
-
-def test_bad_queries_are_refused_with_their_reason(built: Built, file: Path) -> None:
-    localiser = MapLocaliser(read_map(file))
-    black = np.zeros((480, 640), np.uint8)
-    assert localiser.localise(black, LOGGED).refusal == "few_features"
-    assert localiser.localise(np.zeros((640, 480), np.uint8), LOGGED).refusal == "image_size"
+def test_bad_queries_are_refused_with_their_reason(file: Path) -> None:
+    localiser, elsewhere = MapLocaliser(read_map(file)), features(place(seed=7), walk(3), 1)
     noise = np.random.default_rng(0).integers(0, 255, (480, 640), np.uint8)
     for answer in (
         localiser.localise(noise, LOGGED),
-        localiser.localise_features(features(place(seed=7), walk(3), 1), LOGGED),
-        localiser.localise_features(features(place(seed=7), walk(3), 1), LOGGED, np.array([0, 1.0, 0])),
+        localiser.localise_features(elsewhere, LOGGED),
+        localiser.localise_features(elsewhere, LOGGED, np.array([0, 1.0, 0])),
     ):
         assert answer.map_T_cam is None and answer.covariance is None and answer.refusal and answer.reason
 
@@ -170,24 +157,6 @@ def test_a_map_of_another_kind_is_refused(tmp_path: Path) -> None:
         read_map(tmp_path / "other")
     with pytest.raises(UserError, match="can't be read"):
         read_map(tmp_path / "none")
-
-
-def test_sections_are_aligned_and_named(file: Path) -> None:
-    sections = read_sections(file)
-    assert sections.metadata["scene"] == "room"
-    for array in sections.arrays.values():
-        assert not array.flags.writeable
-
-
-def test_a_killed_write_leaves_no_map(built: Built, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("groundwalk.store.files._sync", _killed)
-    with pytest.raises(KeyboardInterrupt):
-        write_map(tmp_path / "map.gwm", built[2])
-    assert not (tmp_path / "map.gwm").exists()
-
-
-def _killed(*_: object) -> None:
-    raise KeyboardInterrupt
 
 
 def test_a_map_is_read_and_asked_without_torch_open3d_and_pycolmap(file: Path) -> None:

@@ -8,11 +8,12 @@ import pytest
 from scipy.spatial import cKDTree
 
 from groundwalk.geometry.cameras import Camera
-from groundwalk.geometry.poses import Array, inverse
-from groundwalk.localisation.frames import Views, rays
+from groundwalk.geometry.poses import inverse
+from groundwalk.localisation.build import covering_points
+from groundwalk.localisation.frames import rays_of
+from groundwalk.localisation.localisers import StructureSettings
 from groundwalk.localisation.matching import covisible_pairs, mutual_matches
-from groundwalk.localisation.selection import covering_points
-from groundwalk.localisation.structure import matched_features, matches_of, structure_of
+from groundwalk.localisation.prepared import prepare
 from groundwalk.localisation.tracks import Rays, epipolar_error_px, tracks, triangulate
 from tests.localisation.scenes import HIGH, SEEN_BY, place, projected, training, walk
 
@@ -23,36 +24,23 @@ def test_rays_of_a_rolling_shutter_go_through_the_points(camera: Camera, first_r
     views, xyz = walk(4, camera=replace(camera, first_row=first_row)), place().xyz
     px = projected(views, 2, xyz)
     seen = np.isfinite(px).all(axis=1)
-    origin, direction = rays(views, 2, px[seen])
+    origin, direction = rays_of(views, 2, px[seen])
     along = xyz[seen] - origin
     unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     miss = np.linalg.norm(along - np.sum(along * unit, axis=1)[:, None] * unit, axis=1)
     assert np.median(480 * miss / np.linalg.norm(along, axis=1)) < 0.05  # px
 
 
-def _of_two_views(noise_px: float = 0.0) -> tuple[Views, Array, Array, Rays]:
-    views = walk(2, moving=False, reach_m=1)
-    xyz = place().xyz
+def test_points_are_opencvs_and_the_true_ones() -> None:
+    views, xyz = walk(2, moving=False, reach_m=1), place().xyz
     px = np.stack([projected(views, view, xyz) for view in range(2)])
     seen = np.isfinite(px).all(axis=(0, 2))
-    px = px[:, seen] + noise_px * np.random.default_rng(0).standard_normal((2, seen.sum(), 2))
-    both = [rays(views, view, px[view]) for view in range(2)]
-    count = int(seen.sum())
-    every = Rays(
-        np.concatenate([o for o, _ in both]),
-        np.concatenate([d for _, d in both]),
-        np.full(2 * count, 480.0),
-        np.repeat([0, 1], count),
-    )
-    return views, xyz[seen], px, every
-
-
-def test_points_are_opencvs_and_the_true_ones() -> None:
-    views, xyz, px, every = _of_two_views()
-    count = len(xyz)
-    assert epipolar_error_px(every[np.arange(count)], every[count + np.arange(count)]).max() < 1e-6
-    track, feature = tracks(np.stack([np.arange(count), count + np.arange(count)], axis=1), every.view)
-    points = triangulate(every, track, feature, 2.0, 0.1)
+    px, xyz, count = px[:, seen], xyz[seen], int(seen.sum())
+    origin, direction = map(np.concatenate, zip(*(rays_of(views, view, px[view]) for view in range(2)), strict=True))
+    every = Rays(origin, direction, np.full(2 * count, 480.0), np.repeat([0, 1], count))
+    first = np.arange(count)
+    assert epipolar_error_px(every[first], every[count + first]).max() < 1e-6
+    points = triangulate(every, *tracks(np.stack([first, count + first], axis=1), every.view), 2.0, 0.1)
     ideal = [views.cameras[0].unproject(p).T for p in px]
     homogeneous = cv2.triangulatePoints(*(inverse(pose)[:3] for pose in views.map_T_cam), *ideal)
     np.testing.assert_allclose(points.xyz, (homogeneous[:3] / homogeneous[3]).T, atol=1e-5)
@@ -65,10 +53,8 @@ def test_a_wrong_observation_is_left_out_and_a_lonely_point_dropped() -> None:
     point = int(np.flatnonzero(np.isfinite(px).all(axis=(0, 2)))[0])
     at = px[:, point].copy()
     at[2] += 25
-    parts = [rays(views, view, at[view : view + 1]) for view in range(5)]
-    every = Rays(
-        np.concatenate([o for o, _ in parts]), np.concatenate([d for _, d in parts]), np.full(5, 480.0), np.arange(5)
-    )
+    parts = (rays_of(views, view, at[view : view + 1]) for view in range(5))
+    every = Rays(*map(np.concatenate, zip(*parts, strict=True)), np.full(5, 480.0), np.arange(5))
     points = triangulate(every, np.zeros(5, np.int64), np.arange(5), 2.0, 0.1)
     assert points.feature.tolist() == [0, 1, 3, 4]
     np.testing.assert_allclose(points.xyz, xyz[[point]], atol=1e-6)
@@ -93,14 +79,12 @@ def test_pairs_are_of_frames_that_see_the_same() -> None:
 
 
 def test_structure_is_of_true_points() -> None:
-    scene, views = place(), walk(10)
-    given = training(scene, views)
-    pairs = matched_features(views, given.features, 6)
-    structure = structure_of(views, matches_of(views, given.features, pairs))
-    away = cKDTree(scene.xyz).query(structure.points.xyz)[0]
+    scene = place()
+    prepared = prepare("room", training(scene, walk(10)), StructureSettings())
+    away = cKDTree(scene.xyz).query(prepared.points.xyz)[0]
     assert len(away) > 400 and np.median(away) < 0.02 and np.quantile(away, 0.99) < 0.3
-    fewer = structure_of(views, matches_of(views, given.features, pairs), np.arange(10) != 4)
-    assert not (fewer.view[fewer.points.feature] == 4).any()
+    fewer = prepared.points_of(np.arange(10) != 4)
+    assert len(fewer.xyz) > 400 and not (prepared.rays.view[fewer.feature] == 4).any()
 
 
 def test_selection_covers_cells_before_it_repeats_them() -> None:
