@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.alignment.checked_map import CheckedMap, FrameVerdicts
-from groundwalk.alignment.checks.components import check_links, check_standard_errors, missing_scale
-from groundwalk.alignment.checks.registration import check_registration
+from groundwalk.alignment.checks.models import check_links, check_registration, check_standard_errors, missing_scale
 from groundwalk.alignment.checks.results import (
     CheckResult,
     Subject,
@@ -79,10 +78,7 @@ def check_models(inputs: AlignInputs, settings: AlignSettings) -> CheckedMap:
 
 
 def _check_by_vio(
-    inputs: AlignInputs,
-    models: Sequence[tuple[str, list[Segment]]],
-    checks: list[CheckResult],
-    settings: AlignSettings,
+    inputs: AlignInputs, models: Sequence[tuple[str, list[Segment]]], checks: list[CheckResult], settings: AlignSettings
 ) -> CheckedMap:
     frames, sfm = inputs.frames, inputs.sfm
     covariance, not_registered = covariances(sfm.images["covariance"]), sfm.not_registered
@@ -111,13 +107,7 @@ def _check_by_vio(
         components=components,
         placed=placed,
         checks=checks,
-        frames=FrameVerdicts(
-            registered=sfm.registered,
-            exclusion=exclusion_reasons(checks, not_registered),
-            problem=_problems(problem, checks, components),
-            residual_m=residual_m,
-            residual_rad=residual_rad,
-        ),
+        frames=_verdicts(sfm, checks, components, problem, (residual_m, residual_rad)),
         windows=windows,
     )
 
@@ -194,26 +184,32 @@ def _check_by_reference(
         components=components,
         placed=placed,
         checks=checks,
-        frames=FrameVerdicts(
-            registered=inputs.sfm.registered,
-            exclusion=exclusion_reasons(checks, inputs.sfm.not_registered),
-            problem=_problems(problem, checks, components),
-            residual_m=residual_m,
-            residual_rad=residual_rad,
-        ),
+        frames=_verdicts(inputs.sfm, checks, components, problem, (residual_m, residual_rad)),
         reference_limit=(limits.position(reference.extent), limits.rotation),
     )
 
 
-def _problems(problem: np.ndarray, checks: Sequence[CheckResult], components: list[Component]) -> np.ndarray:
-    """Why frames (N,) are of class C at best: an undecided check, else `problem` (N,); in a model without scale all
+def _verdicts(
+    sfm: SfmTables,
+    checks: Sequence[CheckResult],
+    components: list[Component],
+    problem: np.ndarray,
+    residuals: tuple[np.ndarray, np.ndarray],
+) -> FrameVerdicts:
+    """Frames (N,) are of class C at best by an undecided check, else by `problem` (N,); in a model without scale all
     are, as limits are in metres."""
     undecided = undecided_reasons(checks, len(problem))
     problem = np.where(undecided == "", problem, undecided)
     for component in (c for c in components if not c.scale.is_known):
         for segment in component.segments:
             problem[segment.rows] = "the map has no metric scale"
-    return problem
+    return FrameVerdicts(
+        registered=sfm.registered,
+        exclusion=exclusion_reasons(checks, sfm.not_registered),
+        problem=problem,
+        residual_m=residuals[0],
+        residual_rad=residuals[1],
+    )
 
 
 def refusal(checked: CheckedMap, frames: pd.DataFrame, settings: AlignSettings) -> UserError | None:

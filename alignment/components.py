@@ -1,6 +1,7 @@
 """SfM models of one scene: each metric and upright by itself, and where it lies in the map."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,8 +49,7 @@ class MapScale:
 NO_SCALE = MapScale(0.0, float("nan"), {})
 
 
-@dataclass(frozen=True)
-class RecordingVertical:
+class RecordingVertical(NamedTuple):
     """A recording's up (3,) in SfM's axes, and the standard error of its mean, radians per axis."""
 
     up_sfm: Array
@@ -134,10 +134,5 @@ class PlacedComponent:
         return self.links[-1] if self.links else None
 
 
-@dataclass(frozen=True)
-class UnlinkedComponent:
-    """A component that isn't in the map, and why: `gap_m` is the shortest VIO path to the map, if there is any."""
-
-    component: Component
-    gap_m: float | None
-    reason: str
+Unlinked = tuple[Component, float | None, str]
+"""A component that isn't in the map, the shortest VIO path to the map, m, if there is any, and why it isn't."""

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.alignment.checked_map import CheckedMap, FrameVerdicts
-from groundwalk.alignment.checks.summary import checks_table
+from groundwalk.alignment.checks.results import checks_table
 from groundwalk.alignment.components import PlacedComponent
 from groundwalk.alignment.drift import DriftSamples, drift_table, measure_drift
 from groundwalk.alignment.quality import Grade, count_grades, grade_frames

@@ -56,7 +56,9 @@ def common_vertical(segments: list[Segment], *, max_tilt: float, tested: Collect
     """
     verticals: dict[str, RecordingVertical] = {}
     for recording in sorted({s.recording for s in segments}):
-        ups = np.concatenate([_ups(s) for s in segments if s.recording == recording])
+        of_recording = [s.where(s.registered) for s in segments if s.recording == recording]
+        up_sfm = [np.einsum("nij,nj->ni", s.sfm_T_cam[:, :3, :3], s.up_cam) for s in of_recording]
+        ups = np.concatenate([up[np.isfinite(up).all(axis=1)] for up in up_sfm])
         if len(ups):
             verticals[recording] = _recording_vertical(ups)
     unknown = Vertical(np.array([0.0, 1.0, 0.0]), np.nan, verticals, VerticalSource.NONE)
@@ -92,8 +94,3 @@ def _robust_direction(directions: Array, floor: float) -> tuple[Array, Array]:
         len(directions),
         floor=floor,
     )
-
-
-def _ups(segment: Segment) -> Array:
-    has_up = segment.registered & np.isfinite(segment.up_cam).all(axis=1)
-    return np.einsum("nij,nj->ni", segment.sfm_T_cam[has_up, :3, :3], segment.up_cam[has_up])

@@ -11,8 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from groundwalk.alignment.checked_map import CheckedMap
-from groundwalk.alignment.checks.results import main_failure
-from groundwalk.alignment.checks.summary import describe
+from groundwalk.alignment.checks.results import describe, main_failure
 from groundwalk.alignment.components import Component
 from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.segments import Segment, SegmentWindow
@@ -47,7 +46,13 @@ def draw_checks(path: Path, checked: CheckedMap, reference: Reference | None, ti
             _draw_against_reference((plan, metres, degrees), checked, by_reference, component, segment)
             continue
         _draw_plan(plan, checked, component, segment)
-        windows = [w for w in checked.windows if _is_within(w, segment)]
+        first, last = segment.t_ns[0], segment.t_ns[-1]
+        windows = [
+            w
+            for w in checked.windows
+            if (w.segment.session_id, w.segment.component) == (segment.session_id, segment.component)
+            and first <= w.segment.t_ns[w.inside[0]] <= last
+        ]
         limits = [(w, w.position_m, w.limit_m) for w in windows]
         _draw_curves(metres, limits, segment, "m")
         limits = [(w, np.degrees(w.rotation), float(np.degrees(w.limit_rotation))) for w in windows]
@@ -63,11 +68,7 @@ def draw_checks(path: Path, checked: CheckedMap, reference: Reference | None, ti
 
 
 def _draw_against_reference(
-    axes: tuple[Axes, Axes, Axes],
-    checked: CheckedMap,
-    reference: Reference,
-    component: Component,
-    segment: Segment,
+    axes: tuple[Axes, Axes, Axes], checked: CheckedMap, reference: Reference, component: Component, segment: Segment
 ) -> None:
     """Both paths in the two directions in which the reference extends most, and each frame's residuals in order."""
     segment = segment.where(segment.registered)
@@ -120,12 +121,6 @@ def _draw_plan(plan: Axes, checked: CheckedMap, component: Component, segment: S
     plan.set_title("\n".join([f"{name}, model {segment.component}: plan, m", *lines]), fontsize=8)
     plan.legend(fontsize=7)
     plan.tick_params(labelsize=7)
-
-
-def _is_within(window: SegmentWindow, segment: Segment) -> bool:
-    piece = window.segment
-    is_same = (piece.session_id, piece.component) == (segment.session_id, segment.component)
-    return is_same and segment.t_ns[0] <= piece.t_ns[window.inside[0]] <= segment.t_ns[-1]
 
 
 def _draw_curves(axis: Axes, curves: Sequence[tuple[SegmentWindow, Array, float]], segment: Segment, unit: str) -> None:

@@ -70,23 +70,18 @@ def grade_frames(frames: pd.DataFrame, images: pd.DataFrame, covariance: Array, 
 def grade(evidence: FrameEvidence) -> Grade:
     """The class of a frame with ground truth by the limits of A and B, all of which it must keep; C has none. The limit
     that is exceeded most, as a ratio, is named. A frame of unknown uncertainty is no better than an uncertain one."""
-    if (exceeded := _exceeded(evidence, CLASS_B)) is not None:
-        return Grade(QualityClass.C, *exceeded)
-    if np.isnan(evidence.position_sd_m):
-        return Grade(QualityClass.C, "uncertainty unknown")
-    exceeded = _exceeded(evidence, CLASS_A)
-    return Grade(QualityClass.A) if exceeded is None else Grade(QualityClass.B, *exceeded)
-
-
-def _exceeded(evidence: FrameEvidence, limits: FrameEvidence) -> tuple[str, float, float, str] | None:
-    """The limit that is exceeded most, or None; an uncertainty that is unknown exceeds none."""
-    ratios = np.array(evidence) / limits
-    ratios[:2] = np.nan_to_num(ratios[:2])
-    ratios[2] = 1 / max(ratios[2], 1e-3)
-    ratios[3] = np.nan_to_num(ratios[3], nan=np.inf)
-    worst = int(np.argmax(ratios))
-    what, unit = _LIMITED_BY[worst]
-    return (what, evidence[worst], limits[worst], unit) if ratios[worst] > 1 else None
+    for quality, limits in ((QualityClass.C, CLASS_B), (QualityClass.B, CLASS_A)):
+        ratios = np.array(evidence) / limits
+        ratios[:2] = np.nan_to_num(ratios[:2])
+        ratios[2] = 1 / max(ratios[2], 1e-3)
+        ratios[3] = np.nan_to_num(ratios[3], nan=np.inf)
+        worst = int(np.argmax(ratios))
+        if ratios[worst] > 1:
+            what, unit = _LIMITED_BY[worst]
+            return Grade(quality, what, evidence[worst], limits[worst], unit)
+        if np.isnan(evidence.position_sd_m):
+            return Grade(QualityClass.C, "uncertainty unknown")
+    return Grade(QualityClass.A)
 
 
 def count_grades(grades: Sequence[Grade]) -> list[str]:

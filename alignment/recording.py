@@ -59,7 +59,7 @@ def log_models(rec: rr.RecordingStream, placed: Sequence[PlacedComponent], point
 
 def log_frames(rec: rr.RecordingStream, truth: pd.DataFrame, map_T_cam: Array, frames: pd.DataFrame) -> None:
     """All cameras map_T_cam (N, 4, 4) as wire pyramids, one entity a quality, so that each can be switched off, and
-    where each position lies with 95 %.
+    where each position lies with 95 %, enlarged so that it can be seen: the entity's name says how much.
 
     Frames that a check excluded are shown where SfM had them, apart from the ground truth.
     """
@@ -71,7 +71,21 @@ def log_frames(rec: rr.RecordingStream, truth: pd.DataFrame, map_T_cam: Array, f
             strip for row in np.flatnonzero(mask) for strip in _pyramid(map_T_cam[row], frames.iloc[row], camera_m)
         ]
         rec.log(f"map/{path}", rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(0.8)), static=True)
-    _log_ellipsoids(rec, truth[truth["covariance"].notna()])
+    certain = truth[truth["covariance"].notna()]
+    if not len(certain):
+        return
+    variance, axes = np.linalg.eigh(np.stack(list(certain["covariance"])).reshape(-1, 6, 6)[:, 3:, 3:])
+    # An ellipsoid's axes may be a mirrored triple; a quaternion needs a turned one.
+    axes[:, :, 0] *= np.linalg.det(axes)[:, None]
+    ellipsoids = rr.Ellipsoids3D(
+        centers=certain[["map_cam_tx", "map_cam_ty", "map_cam_tz"]].to_numpy(float),
+        half_sizes=_ELLIPSOID_TIMES * _BOUND_95 * np.sqrt(np.maximum(variance, 0.0)),
+        quaternions=quaternion_from_matrix(axes),
+        colors=[_QUALITY_COLOURS[name] for name in certain["quality"]],
+        fill_mode=rr.components.FillMode.MajorWireframe,
+        line_radii=rr.Radius.ui_points(0.8),
+    )
+    rec.log(f"map/ground_truth/bounds_95_times_{_ELLIPSOID_TIMES}", ellipsoids, static=True)
 
 
 def log_sessions(rec: rr.RecordingStream, fits: Sequence[SessionFit], frames: pd.DataFrame, camera_m: float) -> None:
@@ -79,8 +93,28 @@ def log_sessions(rec: rr.RecordingStream, fits: Sequence[SessionFit], frames: pd
     apart."""
     sessions = sorted({fit.segment.session_id for fit in fits})
     for fit in fits:
-        colour = _SESSION_COLOURS[sessions.index(fit.segment.session_id) % len(_SESSION_COLOURS)]
-        _log_segment(rec, fit, frames, camera_m, colour)
+        s = fit.segment
+        colour = _SESSION_COLOURS[sessions.index(s.session_id) % len(_SESSION_COLOURS)]
+        name = f"{s.session_id}-{s.index + 1}" if s.index else s.session_id
+        if s.component:
+            name += f"-model-{s.component}"
+        map_T_cam = fit.map_T_cam.copy()
+        map_T_cam[~fit.has_ground_truth] = np.nan
+        log_path(rec, f"map/ground_truth/{name}/path", map_T_cam[:, :3, 3], GROUND_TRUTH)
+        if not len(fit.compared):
+            continue
+        vio_in_map = fit.map_T_vio @ s.vio_T_cam
+        log_path(rec, f"map/vio/{name}/path", vio_in_map[:, :3, 3], VIO)
+        for residual in ("position_m", "rotation_deg"):
+            rec.log(f"residuals/{residual}/{name}", rr.SeriesLines(colors=colour, names=name), static=True)
+        start_ns = frames.loc[frames["session_id"] == s.session_id, "t_ns"].min()
+        for number, index in enumerate(fit.compared):
+            set_time(rec, s.t_ns[index] - start_ns)
+            frame = frames.iloc[s.rows[index]]
+            log_camera(rec, f"map/ground_truth/{name}/camera", map_T_cam[index], frame, GROUND_TRUTH, 2 * camera_m)
+            log_camera(rec, f"map/vio/{name}/camera", vio_in_map[index], frame, VIO, 2 * camera_m)
+            rec.log(f"residuals/position_m/{name}", rr.Scalars(fit.rigid.position_m[number]))
+            rec.log(f"residuals/rotation_deg/{name}", rr.Scalars(fit.rigid.rotation_deg[number]))
 
 
 def log_session_images(rec: rr.RecordingStream, frames: pd.DataFrame, image_path: Callable[[str], Path]) -> None:
@@ -98,56 +132,9 @@ def camera_length_m(truth: pd.DataFrame) -> float:
     return float(np.clip(_CAMERA_FRACTION * extent_m, *_CAMERA_RANGE_M))
 
 
-def _log_ellipsoids(rec: rr.RecordingStream, gt: pd.DataFrame) -> None:
-    """Where each position lies with 95 %, enlarged so that it can be seen: the entity's name says how much."""
-    if not len(gt):
-        return
-    covariance = np.stack(list(gt["covariance"])).reshape(-1, 6, 6)[:, 3:, 3:]
-    variance, axes = np.linalg.eigh(covariance)
-    # An ellipsoid's axes may be a mirrored triple; a quaternion needs a turned one.
-    axes[:, :, 0] *= np.linalg.det(axes)[:, None]
-    half_sizes = _ELLIPSOID_TIMES * _BOUND_95 * np.sqrt(np.maximum(variance, 0.0))
-    ellipsoids = rr.Ellipsoids3D(
-        centers=gt[["map_cam_tx", "map_cam_ty", "map_cam_tz"]].to_numpy(float),
-        half_sizes=half_sizes,
-        quaternions=quaternion_from_matrix(axes),
-        colors=[_QUALITY_COLOURS[name] for name in gt["quality"]],
-        fill_mode=rr.components.FillMode.MajorWireframe,
-        line_radii=rr.Radius.ui_points(0.8),
-    )
-    rec.log(f"map/ground_truth/bounds_95_times_{_ELLIPSOID_TIMES}", ellipsoids, static=True)
-
-
 def _pyramid(map_T_cam: Array, frame: pd.Series, depth_m: float) -> list[Array]:
     """A camera's view as two line strips: the image's border with two edges, and the other two edges."""
     border = np.array([(0, 0), (frame.width, 0), (frame.width, frame.height), (0, frame.height)], float)
     corners = depth_m * np.column_stack([(border - [frame.cx, frame.cy]) / [frame.fx, frame.fy], np.ones(4)])
     a, b, c, d, eye = transform(map_T_cam, np.vstack([corners, np.zeros(3)]))
     return [np.stack([eye, a, b, c, d, a]), np.stack([b, eye, c]), np.stack([d, eye])]
-
-
-def _log_segment(
-    rec: rr.RecordingStream, fit: SessionFit, frames: pd.DataFrame, camera_m: float, colour: tuple[int, int, int]
-) -> None:
-    """A segment's paths, its two cameras moving along them, and how far they are apart, drawn in `colour`."""
-    s = fit.segment
-    name = f"{s.session_id}-{s.index + 1}" if s.index else s.session_id
-    if s.component:
-        name += f"-model-{s.component}"
-    map_T_cam = fit.map_T_cam.copy()
-    map_T_cam[~fit.has_ground_truth] = np.nan
-    log_path(rec, f"map/ground_truth/{name}/path", map_T_cam[:, :3, 3], GROUND_TRUTH)
-    if not len(fit.compared):
-        return
-    vio_in_map = fit.map_T_vio @ s.vio_T_cam
-    log_path(rec, f"map/vio/{name}/path", vio_in_map[:, :3, 3], VIO)
-    for residual in ("position_m", "rotation_deg"):
-        rec.log(f"residuals/{residual}/{name}", rr.SeriesLines(colors=colour, names=name), static=True)
-    start_ns = frames.loc[frames["session_id"] == s.session_id, "t_ns"].min()
-    for number, index in enumerate(fit.compared):
-        set_time(rec, s.t_ns[index] - start_ns)
-        frame = frames.iloc[s.rows[index]]
-        log_camera(rec, f"map/ground_truth/{name}/camera", map_T_cam[index], frame, GROUND_TRUTH, 2 * camera_m)
-        log_camera(rec, f"map/vio/{name}/camera", vio_in_map[index], frame, VIO, 2 * camera_m)
-        rec.log(f"residuals/position_m/{name}", rr.Scalars(fit.rigid.position_m[number]))
-        rec.log(f"residuals/rotation_deg/{name}", rr.Scalars(fit.rigid.rotation_deg[number]))

@@ -94,10 +94,7 @@ def sessions_of(segments: Sequence[Segment]) -> list[str]:
 
 
 def cut_segments(
-    frames: pd.DataFrame,
-    images: pd.DataFrame,
-    jumps: pd.DataFrame,
-    recordings: dict[str, str],
+    frames: pd.DataFrame, images: pd.DataFrame, jumps: pd.DataFrame, recordings: dict[str, str]
 ) -> tuple[list[str], list[Segment]]:
     """SfM's models that frames are registered in, largest first, and all segments, by session and time; cut at VIO
     jumps, and each of one model.
@@ -116,7 +113,8 @@ def cut_segments(
     for session_id in sorted(set(session)):
         rows = np.flatnonzero(session == session_id)
         rows = rows[np.argsort(t_ns[rows], kind="stable")]
-        travelled_m[rows] = _path_length(vio_T_cam[rows, :3, 3])
+        placed = pd.DataFrame(vio_T_cam[rows, :3, 3]).ffill().bfill().to_numpy()
+        travelled_m[rows] = 0.0 if np.isnan(placed).any() else path_length(placed)
         # The frame at the jump's time is the first one after it.
         jumps_ns = np.sort(jumps.loc[jumps["session_id"] == session_id, "t_ns"].to_numpy(np.int64))
         between_jumps = [r for r in np.split(rows, np.searchsorted(t_ns[rows], jumps_ns)) if len(r)]
@@ -156,9 +154,3 @@ def _frame_components(frames: pd.DataFrame, images: pd.DataFrame) -> tuple[list[
         if len(near):
             component[row] = component[near[np.argmin(np.abs(t_ns[near] - t_ns[row]))]]
     return names, component
-
-
-def _path_length(xyz_N3: Array) -> Array:
-    """`path_length` of positions that may be NaN: there it stays where the last one was."""
-    placed = pd.DataFrame(xyz_N3).ffill().bfill().to_numpy()
-    return np.zeros(len(placed)) if np.isnan(placed).any() else path_length(placed)

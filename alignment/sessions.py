@@ -49,12 +49,7 @@ class SessionFit:
 
 
 def fit_session(
-    segment: Segment,
-    map_T_cam: Array,
-    has_ground_truth: np.ndarray,
-    *,
-    is_metric: bool = True,
-    is_upright: bool = True,
+    segment: Segment, map_T_cam: Array, has_ground_truth: np.ndarray, *, is_metric: bool = True, is_upright: bool = True
 ) -> SessionFit:
     """Fit a segment's VIO to the map: poses map_T_cam (N, 4, 4) of all its frames, of which those that have ground
     truth (N,) are fitted. Nothing but a similarity fits metres to a map that isn't metric (`is_metric`), and yaw alone
@@ -65,31 +60,27 @@ def fit_session(
     """
     compared = np.flatnonzero(has_ground_truth & segment.has_both)
     compared = compared if is_metric and len(compared) >= _MIN_FRAMES else compared[:0]
-    is_upright = is_upright and segment.has_gravity
-    (map_T_vio, rigid), (map_T_vio_yaw, yaw) = (
-        _fit_vio(map_T_cam[rows], segment.vio_T_cam[rows], yaw_only=yaw_only)
-        for yaw_only, rows in ((False, compared), (True, compared if is_upright else compared[:0]))
-    )
+    is_upright, both = is_upright and segment.has_gravity, segment.has_both
+    fits = []
+    for yaw_only, rows in ((False, compared), (True, compared if is_upright else compared[:0])):
+        map_T_vio, residuals = np.full((4, 4), np.nan), _NO_RESIDUALS
+        if len(rows):
+            of_rows = map_T_cam[rows], segment.vio_T_cam[rows]
+            map_T_vio, metres, radians = fit_rigid(*of_rows, POSE_SD, yaw_only=yaw_only)
+            residuals = PoseResiduals(metres, np.degrees(radians))
+        fits.append((map_T_vio, residuals))
     return SessionFit(
         segment=segment,
         map_T_cam=map_T_cam,
         has_ground_truth=has_ground_truth,
         compared=compared,
-        map_T_vio=map_T_vio,
-        rigid=rigid,
-        map_T_vio_yaw=map_T_vio_yaw,
-        yaw=yaw,
-        sim3=_similarity_residuals(map_T_cam[segment.has_both], segment.vio_T_cam[segment.has_both]),
+        map_T_vio=fits[0][0],
+        rigid=fits[0][1],
+        map_T_vio_yaw=fits[1][0],
+        yaw=fits[1][1],
+        sim3=_similarity_residuals(map_T_cam[both], segment.vio_T_cam[both]),
         is_upright=is_upright,
     )
-
-
-def _fit_vio(map_T_cam: Array, vio_T_cam: Array, *, yaw_only: bool) -> tuple[Array, PoseResiduals]:
-    """map_T_vio (4, 4) of poses (n, 4, 4) and its residuals; NaN and none without poses."""
-    if not len(map_T_cam):
-        return np.full((4, 4), np.nan), _NO_RESIDUALS
-    map_T_vio, metres, radians = fit_rigid(map_T_cam, vio_T_cam, POSE_SD, yaw_only=yaw_only)
-    return map_T_vio, PoseResiduals(metres, np.degrees(radians))
 
 
 def _similarity_residuals(map_T_cam: Array, vio_T_cam: Array) -> PoseResiduals:
@@ -107,11 +98,8 @@ def sessions_table(fits: list[SessionFit], placed: list[PlacedComponent]) -> pd.
     """The align.sessions table."""
     of_component = {each.component.index: each for each in placed}
     table = pd.DataFrame([_session_row(fit, of_component[fit.segment.component]) for fit in fits])
-    poses = [
-        pose_frame("map_vio", np.stack([f.map_T_vio for f in fits])),
-        pose_frame("map_vio_yaw", np.stack([f.map_T_vio_yaw for f in fits])),
-    ]
-    return pd.concat([table, *poses], axis=1)
+    rigid, yaw = (np.stack(poses) for poses in zip(*((f.map_T_vio, f.map_T_vio_yaw) for f in fits), strict=True))
+    return pd.concat([table, pose_frame("map_vio", rigid), pose_frame("map_vio_yaw", yaw)], axis=1)
 
 
 def _session_row(fit: SessionFit, placed: PlacedComponent) -> dict[str, object]:

@@ -2,47 +2,34 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from groundwalk.alignment import depth, held, recording
 from groundwalk.alignment.check_models import AlignInputs, check_models, refusal
 from groundwalk.alignment.checked_map import CheckedMap
 from groundwalk.alignment.checks.depth import check_depth
-from groundwalk.alignment.checks.results import CheckResult
-from groundwalk.alignment.checks.summary import checks_table, describe
+from groundwalk.alignment.checks.results import CheckResult, checks_table, describe
 from groundwalk.alignment.components import MAX_SCALE_SD, MAX_VERTICAL_SD, MapScale, Vertical
-from groundwalk.alignment.control.check import check_control
-from groundwalk.alignment.control.check import describe as describe_control
+from groundwalk.alignment.control import check as control_check
 from groundwalk.alignment.control.points import find_points
 from groundwalk.alignment.control.tables import control_table, draw_control, points_table
-from groundwalk.alignment.depth import agreement_table as depth_table
-from groundwalk.alignment.depth import has_depth, sample_frames
 from groundwalk.alignment.drift import ALL
 from groundwalk.alignment.ground_truth import AlignResult, build, camera_sd, poses_in_map
-from groundwalk.alignment.held import in_map_before, refusal_of_added, versions_table, with_rows_before
 from groundwalk.alignment.plot import draw_checks
-from groundwalk.alignment.recording import (
-    blueprint,
-    camera_length_m,
-    log_frames,
-    log_models,
-    log_session_images,
-    log_sessions,
-)
 from groundwalk.alignment.reference.agreement import describe_agreement
 from groundwalk.alignment.reference.poses import Reference
+from groundwalk.alignment.rulers import scale_check
 from groundwalk.alignment.rulers.detection import find_rulers
 from groundwalk.alignment.rulers.measurement import measure_rulers
 from groundwalk.alignment.rulers.plot import draw_rulers
-from groundwalk.alignment.rulers.scale_check import check_rulers, rulers_table
-from groundwalk.alignment.rulers.scale_check import describe as describe_ruler
 from groundwalk.alignment.sessions import SessionFit
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.poses import Array
+from groundwalk.scoring.bootstrap import finite
 from groundwalk.store import StageRun
 from groundwalk.store.choices import DriftDefinition, QualityClass, ScaleSource, UpSource, VerticalSource
 from groundwalk.store.tables import dataset_frames, with_cameras
@@ -54,11 +41,12 @@ _TABLES = ("ground_truth", "sessions", "drift", "checks", "residuals", "referenc
 def run(r: StageRun[AlignSettings]) -> None:
     inputs = _read(r)
     frames, images, reference = inputs.frames, inputs.sfm.images, inputs.reference
+    before = r.before if r.holds else None
     with r.step("rulers"):
         rulers = measure_rulers(find_rulers(r.settings.rulers, frames, r.image_path), frames, images)
     with r.step("checks"):
         checked = check_models(replace(inputs, rulers=rulers), r.settings)
-        ruler_checks = check_rulers(checked.components, rulers, r.settings.max_ruler_size_error)
+        ruler_checks = scale_check.check_rulers(checked.components, rulers, r.settings.max_ruler_size_error)
         checked = replace(checked, checks=[*checked.checks, *(check.result for check in ruler_checks)])
     with r.step("plots"):
         dataset = checked.where(~frames["support"].to_numpy(bool))
@@ -66,36 +54,44 @@ def run(r: StageRun[AlignSettings]) -> None:
         if rulers:
             draw_rulers(r.work / RULERS_PLOT, ruler_checks, frames, images, r.image_path)
     for check in ruler_checks:
-        r.say(describe_ruler(check))
-    r.write("rulers", rulers_table(ruler_checks))
-    if r.before is not None and r.holds:
-        checked = in_map_before(checked, frames, images, r.before)
-    _stop_if_refused(r, checked, frames)
+        r.say(scale_check.describe(check))
+    r.write("rulers", scale_check.rulers_table(ruler_checks))
+    if before is None:
+        error = refusal(checked, frames, r.settings)
+    else:
+        checked = held.in_map_before(checked, frames, images, before)
+        error = held.refusal_of_added(checked, frames, r.settings, before)
+    if error is not None:
+        r.write("checks", checks_table(checked.checks))
+        error.details["do"] = f"look at {r.work / CHECKS_PLOT}; {error.details['do']}"
+        raise error
     with r.step("depth"):
-        depth, depth_checks = _check_by_depth(r, frames, images, checked)
-    checked = replace(checked, checks=[*checked.checks, *depth_checks])
-    r.write("depth_agreement", depth)
+        checked = replace(checked, checks=[*checked.checks, *_check_by_depth(r, frames, images, checked)])
     with r.step("control"):
         checked = replace(checked, checks=[*checked.checks, *_check_by_control(r, frames, images, checked)])
     with r.step("align"):
         result = build(frames, images, checked, reference)
-        if r.before is not None and r.holds:
-            result = with_rows_before(result, r.before)
-        versions = versions_table(result.ground_truth, r.before if r.holds else None)
+        if before is not None:
+            result = held.with_rows_before(result, before)
+        versions = held.versions_table(result.ground_truth, before)
         r.write("versions", versions)
         r.figure("version", int(versions["version"].max()))
     for table in _TABLES:
         r.write(table, getattr(result, table))
     registered, frames = int(dataset.frames.registered.sum()), dataset_frames(frames)
     _write_figures(r, frames, result, registered)
+    origin = reference.origin if reference is not None and reference.gives_map else None
+    for axis, value in zip("xyz", origin or [None] * 3, strict=True):
+        r.figure(f"map_origin_{axis}", value)
     for line in _summary(result, checked.checks, registered):
         r.say(line)
-    _write_origin(r, reference)
-    with r.step("recording"), r.recording(blueprint(sorted(frames["session_id"].unique()))) as rec:
-        log_models(rec, result.placed, r.read("sfm", "points"))
-        log_frames(rec, result.ground_truth, result.map_T_cam, frames)
-        log_sessions(rec, result.fits, frames, camera_length_m(result.ground_truth))
-        log_session_images(rec, frames, r.image_path)
+    if origin is not None and any(origin):
+        r.say(f"map: its origin is at ({', '.join(f'{v:.12g}' for v in origin)}) of the reference's own coordinates")
+    with r.step("recording"), r.recording(recording.blueprint(sorted(frames["session_id"].unique()))) as rec:
+        recording.log_models(rec, result.placed, r.read("sfm", "points"))
+        recording.log_frames(rec, result.ground_truth, result.map_T_cam, frames)
+        recording.log_sessions(rec, result.fits, frames, recording.camera_length_m(result.ground_truth))
+        recording.log_session_images(rec, frames, r.image_path)
 
 
 def _read(r: StageRun[AlignSettings]) -> AlignInputs:
@@ -115,52 +111,42 @@ def _read(r: StageRun[AlignSettings]) -> AlignInputs:
     )
 
 
-def _stop_if_refused(r: StageRun[AlignSettings], checked: CheckedMap, frames: pd.DataFrame) -> None:
-    """UserError where there is no ground truth; the checks' table and plot are left to look at."""
-    if r.before is not None and r.holds:
-        error = refusal_of_added(checked, frames, r.settings, r.before)
-    else:
-        error = refusal(checked, frames, r.settings)
-    if error is not None:
-        r.write("checks", checks_table(checked.checks))
-        error.details["do"] = f"look at {r.work / CHECKS_PLOT}; {error.details['do']}"
-        raise error
-
-
 def _check_by_depth(
     r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap
-) -> tuple[pd.DataFrame, list[CheckResult]]:
-    """The depth_agreement table, and the checks by it where the map is metric."""
-    placed = checked.placed if has_depth(frames) else []
-    used = checked.frames.has_ground_truth
-
-    def folder_of(model_id: str) -> Path:
-        return r.folder("sfm") / r.read("sfm", "models").set_index("model_id")["folder"][model_id]
-
-    samples = sample_frames(frames, images, used, placed, folder_of, r.image_path)
-    agreement = depth_table(samples, r.seed)
+) -> list[CheckResult]:
+    """The checks by a depth sensor, where the map is metric; the table of its agreement is written."""
+    samples = depth.sample_frames(
+        frames,
+        images,
+        checked.frames.has_ground_truth,
+        checked.placed if depth.has_depth(frames) else [],
+        lambda model_id: r.folder("sfm") / r.read("sfm", "models").set_index("model_id")["folder"][model_id],
+        r.image_path,
+    )
+    agreement = depth.agreement_table(samples, r.seed)
+    r.write("depth_agreement", agreement)
     if not checked.placed[0].component.scale.is_known:
-        return agreement, []
+        return []
     checks, lines = check_depth(agreement)
     for line in lines:
         r.say(line)
-    return agreement, checks
+    return checks
 
 
 def _check_by_control(
     r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap
 ) -> list[CheckResult]:
     """The checks by surveyed points; their tables and picture are written."""
-    found = [find_points(control, frames, r.data.root, r.image_path) for control in r.settings.controls]
+    found = [find_points(survey, frames, r.data.root, r.image_path) for survey in r.settings.controls]
     usable = checked.frames.has_ground_truth
-    controls = [check_control(points, frames, images, checked.placed, usable) for points in found]
-    for control in controls:
-        r.say(describe_control(control))
-    r.write("control", control_table(controls))
-    r.write("control_points", points_table(controls))
-    if controls:
-        draw_control(r.work / CONTROL_PLOT, controls, poses_in_map(images, checked.placed)[usable, :3, 3])
-    return [control.result for control in controls]
+    checks = [control_check.check_control(points, frames, images, checked.placed, usable) for points in found]
+    for check in checks:
+        r.say(control_check.describe(check))
+    r.write("control", control_table(checks))
+    r.write("control_points", points_table(checks))
+    if checks:
+        draw_control(r.work / CONTROL_PLOT, checks, poses_in_map(images, checked.placed)[usable, :3, 3])
+    return [check.result for check in checks]
 
 
 def _write_figures(r: StageRun[AlignSettings], frames: pd.DataFrame, result: AlignResult, registered: int) -> None:
@@ -177,15 +163,15 @@ def _write_figures(r: StageRun[AlignSettings], frames: pd.DataFrame, result: Ali
         "metres_per_sfm_unit": main.map_S_sfm.scale,
         "scale_source": scale.source,
         "vertical_source": vertical.source,
-        "scale_sd": _or_none(scale.sd),
-        "session_scale_spread": _or_none(sessions["scale"].max() - sessions["scale"].min()),
-        "vertical_sd_deg": _or_none(float(np.degrees(vertical.sd))),
+        "scale_sd": finite(scale.sd),
+        "session_scale_spread": finite(sessions["scale"].max() - sessions["scale"].min()),
+        "vertical_sd_deg": finite(float(np.degrees(vertical.sd))),
         "camera_sd_deg": float(np.degrees(camera_sd(frames))),
-        "vertical_correction_deg": _or_none(sessions["up_error_deg"].max()),
+        "vertical_correction_deg": finite(sessions["up_error_deg"].max()),
         "position_rms_m": _pooled_rms(sessions["position_rms_m"], sessions["with_ground_truth"]),
         "rotation_rms_deg": _pooled_rms(sessions["rotation_rms_deg"], sessions["with_ground_truth"]),
         "sim3_position_rms_m": _pooled_rms(sessions["sim3_position_rms_m"], sessions["registered"]),
-        "sim3_rotation_median_deg": _or_none(sessions["sim3_rotation_median_deg"].max()),
+        "sim3_rotation_median_deg": finite(sessions["sim3_rotation_median_deg"].max()),
         "vio_5m_median_percent": _over_5m(result.drift, "median"),
         "vio_5m_max_percent": _over_5m(result.drift, "max"),
         "reference_position_rms_m": _pooled_rms(reference["position_rms_m"], reference["compared_frames"]),
@@ -262,15 +248,6 @@ def _describe_fit(fit: SessionFit) -> str:
     )
 
 
-def _write_origin(r: StageRun[AlignSettings], reference: Reference | None) -> None:
-    """Where the map's origin is in the coordinates of the reference that gives it, as figures and for the user."""
-    origin = reference.origin if reference is not None and reference.gives_map else None
-    for axis, value in zip("xyz", origin or [None] * 3, strict=True):
-        r.figure(f"map_origin_{axis}", value)
-    if origin is not None and any(origin):
-        r.say(f"map: its origin is at ({', '.join(f'{v:.12g}' for v in origin)}) of the reference's own coordinates")
-
-
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
@@ -288,7 +265,3 @@ def _over_5m(drift: pd.DataFrame, statistic: str) -> float | None:
     is_position = (drift["session_id"] == ALL) & (drift["definition"] == DriftDefinition.DISTANCE_POSITION)
     values = drift.loc[is_position & (drift["interval"] == 5.0), statistic]
     return float(values.iloc[0]) if len(values) else None
-
-
-def _or_none(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -1,10 +1,8 @@
 """All SfM models in one map: what no view ties to the first is linked to it by VIO over a short path."""
 
-from typing import NamedTuple
-
 import numpy as np
 
-from groundwalk.alignment.components import Component, PlacedComponent, UnlinkedComponent, VioLink
+from groundwalk.alignment.components import Component, PlacedComponent, Unlinked, VioLink
 from groundwalk.alignment.segments import Segment
 from groundwalk.consistency.vio_drift import VIO_DRIFT
 from groundwalk.consistency.windows import POSE_SD, WINDOW_M, PoseSd, fit_rigid
@@ -17,20 +15,9 @@ _MIN_FRAMES = 3
 _DRIFT = PoseSd(0.03, float(np.radians(0.6)))
 
 
-class _Candidate(NamedTuple):
-    """A possible link of a component, behind those of the component that it leads to, and its place by it."""
-
-    links: tuple[VioLink, ...]
-    map_S_metric: Sim3
-
-    @property
-    def link(self) -> VioLink:
-        return self.links[-1]
-
-
 def place_components(
     components: list[Component], used: np.ndarray, max_link_m: float
-) -> tuple[list[PlacedComponent], list[UnlinkedComponent]]:
+) -> tuple[list[PlacedComponent], list[Unlinked]]:
     """Put components (largest first) into one map. `used` (N,): frames of the frames table to fit.
 
     The first component gives origin and heading. Each other one is linked by VIO alone, through a session that has
@@ -44,55 +31,36 @@ def place_components(
     sd = POSE_SD if first.scale.is_known else PoseSd(np.inf, POSE_SD.rotation)
     placed = [PlacedComponent(first, _origin(first, used, sd) @ first.metric_S_sfm)]
     waiting = list(components[1:])
-    candidates: dict[int, list[_Candidate]] = {}
+    candidates: dict[int, list[PlacedComponent]] = {}
+    objections: dict[int, str] = {}
     while waiting:
         candidates = {c.index: _candidates(placed, c, used) for c in waiting}
-        near = [c for c in waiting if _is_linked(candidates[c.index], max_link_m)]
+        objections = {c.index: _objection(c, candidates[c.index], max_link_m) for c in waiting}
+        near = [c for c in waiting if not objections[c.index]]
         if not near:
             break
-        nearest = min(near, key=lambda c: candidates[c.index][0].link.gap_m)
-        links, map_S_metric = candidates[nearest.index][0]
-        placed.append(PlacedComponent(nearest, map_S_metric @ nearest.metric_S_sfm, links))
+        nearest = min(near, key=lambda c: candidates[c.index][0].links[-1].gap_m)
+        placed.append(candidates[nearest.index][0])
         waiting.remove(nearest)
-    return placed, [_unlinked(c, candidates[c.index], max_link_m) for c in waiting]
+    gaps_m = {index: found[0].links[-1].gap_m if found else None for index, found in candidates.items()}
+    return placed, [(c, gaps_m[c.index], objections[c.index]) for c in waiting]
 
 
-def _is_linked(candidates: list[_Candidate], max_link_m: float) -> bool:
-    is_near = bool(candidates) and candidates[0].link.gap_m <= max_link_m
-    return is_near and not _contradiction(candidates, max_link_m)
-
-
-def _unlinked(component: Component, candidates: list[_Candidate], max_link_m: float) -> UnlinkedComponent:
-    if not candidates:
-        sessions = ", ".join(sorted({s.session_id for s in component.segments}))
-        return UnlinkedComponent(component, None, f"no view and no VIO path links {sessions} to the map")
-    gap_m = candidates[0].link.gap_m
-    if gap_m <= max_link_m:
-        contradiction = _contradiction(candidates, max_link_m)
-        return UnlinkedComponent(component, gap_m, f"VIO links contradict each other: {contradiction}")
-    reason = f"no view links it to the map; VIO path without a registered frame {gap_m:.1f} m"
-    return UnlinkedComponent(component, gap_m, reason)
-
-
-def _candidates(placed: list[PlacedComponent], component: Component, used: np.ndarray) -> list[_Candidate]:
-    """Links of a component to those in the map, by sessions that go from one to the other without a VIO jump; shortest
-    first."""
+def _candidates(placed: list[PlacedComponent], component: Component, used: np.ndarray) -> list[PlacedComponent]:
+    """Where a component lies by links to those in the map, through sessions that go from one to the other without a VIO
+    jump; by the shortest link first."""
     candidates = [
-        _candidate(each, component, _usable(a, used), _usable(b, used))
+        _candidate(each, component, *(s.where(s.has_both & used[s.rows]) for s in (a, b)))
         for each in placed
         for a in (each.component.segments if each.component.scale.is_known else [])
         for b in component.segments
         if (a.session_id, a.index) == (b.session_id, b.index)
     ]
-    return sorted((c for c in candidates if c is not None), key=lambda candidate: candidate.link.gap_m)
+    return sorted((c for c in candidates if c is not None), key=lambda candidate: candidate.links[-1].gap_m)
 
 
-def _usable(segment: Segment, used: np.ndarray) -> Segment:
-    return segment.where(segment.has_both & used[segment.rows])
-
-
-def _candidate(placed: PlacedComponent, component: Component, a: Segment, b: Segment) -> _Candidate | None:
-    """A link through the frames `a` of a placed component and `b` of another; None where they are too few."""
+def _candidate(placed: PlacedComponent, component: Component, a: Segment, b: Segment) -> PlacedComponent | None:
+    """By the link through the frames `a` of a placed component and `b` of another; None where they are too few."""
     if min(len(a.rows), len(b.rows)) < _MIN_FRAMES:
         return None
     window_m = WINDOW_M / 2
@@ -119,27 +87,35 @@ def _candidate(placed: PlacedComponent, component: Component, a: Segment, b: Seg
         float(np.hypot(POSE_SD.position_m, _DRIFT.position_m * np.sqrt(path_m))),
         float(_DRIFT.rotation * np.sqrt(path_m)),
     )
-    return _Candidate((*placed.links, link), Sim3(1.0, map_T_metric[:3, :3], map_T_metric[:3, 3]))
+    map_S_metric = Sim3(1.0, map_T_metric[:3, :3], map_T_metric[:3, 3])
+    return PlacedComponent(component, map_S_metric @ component.metric_S_sfm, (*placed.links, link))
 
 
-def _contradiction(candidates: list[_Candidate], max_link_m: float) -> str | None:
-    """Where another link that isn't too long puts the component elsewhere than the first one does; None if none
-    does."""
-    link, map_S_metric = candidates[0].link, candidates[0].map_S_metric
-    anchor = map_S_metric.inverse().points(link.anchor)
+def _objection(component: Component, candidates: list[PlacedComponent], max_link_m: float) -> str:
+    """Why a component can't be linked: no link, one that is too long, or another that isn't and puts it elsewhere than
+    the first one does; empty where it can."""
+    if not candidates:
+        sessions = ", ".join(sorted({s.session_id for s in component.segments}))
+        return f"no view and no VIO path links {sessions} to the map"
+    link, map_S_sfm = candidates[0].links[-1], candidates[0].map_S_sfm
+    if link.gap_m > max_link_m:
+        return f"no view links it to the map; VIO path without a registered frame {link.gap_m:.1f} m"
+    anchor = map_S_sfm.inverse().points(link.anchor)
     for candidate in candidates[1:]:
-        other, other_S_metric = candidate.link, candidate.map_S_metric
+        other, other_S_sfm = candidate.links[-1], candidate.map_S_sfm
         if other.gap_m > max_link_m:
             continue
         path_m = link.path_m + other.path_m
         limit_m, limit_rad = float(VIO_DRIFT.metres(path_m)), float(VIO_DRIFT.radians(path_m))
-        turn = float(rotation_angle(other_S_metric.rotation @ map_S_metric.rotation.T))
-        shift_m = float(np.linalg.norm(other_S_metric.points(anchor) - link.anchor))
+        turn = float(rotation_angle(other_S_sfm.rotation @ map_S_sfm.rotation.T))
+        shift_m = float(np.linalg.norm(other_S_sfm.points(anchor) - link.anchor))
         arm_m = float(np.linalg.norm(link.anchor - other.anchor))
         if turn > limit_rad or shift_m > limit_m + arm_m * limit_rad:
-            apart = f"{shift_m:.2f} m and {np.degrees(turn):.1f} degrees apart"
-            return f"{link.session_id} and {other.session_id} put it {apart}"
-    return None
+            return (
+                f"VIO links contradict each other: {link.session_id} and {other.session_id} put it {shift_m:.2f} m and "
+                f"{np.degrees(turn):.1f} degrees apart"
+            )
+    return ""
 
 
 def _near(along: Array, middle: float, reach_m: float) -> np.ndarray:

@@ -16,13 +16,13 @@ ADVICE_BY_CAUSE = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class CheckDefinition:
     """What a check estimates; the value must be at most the limit, or at least (`limit_is_minimum`). `remedy`: what to
     do where it failed; `evidence`: what would decide it."""
 
     estimate: str
-    unit: CheckUnit
+    unit: CheckUnit = CheckUnit.FRACTION
     remedy: str = ""
     evidence: str = ""
     limit_is_minimum: bool = False
@@ -30,132 +30,113 @@ class CheckDefinition:
 
 DEFINITIONS = {
     CheckName.REGISTERED: CheckDefinition(
-        estimate="registered frames",
-        unit=CheckUnit.FRACTION,
+        "registered frames",
         remedy=f"capture with more overlap between images, or lower {setting_of('align', 'min_registered_fraction')}",
         limit_is_minimum=True,
     ),
     CheckName.SESSION_REGISTERED: CheckDefinition(
-        estimate="registered frames",
-        unit=CheckUnit.FRACTION,
+        "registered frames",
         remedy=f"{_EXCLUDE_SESSION}, or lower {setting_of('align', 'min_registered_fraction')}",
         limit_is_minimum=True,
     ),
     CheckName.COMPONENT_SCALE: CheckDefinition(
-        estimate="metric scale of the SfM model",
-        unit=CheckUnit.FRACTION,
+        "metric scale of the SfM model",
         remedy="capture it again: with odometry a longer walk, without it more images between this place and the rest",
     ),
     CheckName.MAP_SCALE: CheckDefinition(
-        estimate="standard error of the metric scale",
-        unit=CheckUnit.FRACTION,
+        "standard error of the metric scale",
         evidence="a ruler in view (docs/how-to/ruler.md) or, with odometry, a longer walk or a second session",
     ),
     CheckName.MAP_VERTICAL: CheckDefinition(
-        estimate="standard error of the vertical",
-        unit=CheckUnit.DEGREES,
+        "standard error of the vertical",
+        CheckUnit.DEGREES,
         evidence="a further session whose poses are in a gravity-aligned world",
     ),
     CheckName.REFERENCE_SCALE: CheckDefinition(
-        estimate="standard error of the metric scale by the reference poses",
-        unit=CheckUnit.FRACTION,
+        "standard error of the metric scale by the reference poses",
         evidence="more frames with reference poses, and their unit (metre: "
         f"{setting_of('import', 'reference_is_metric = true')})",
     ),
     CheckName.REFERENCE_VERTICAL: CheckDefinition(
-        estimate="standard error of the vertical by the reference poses",
-        unit=CheckUnit.DEGREES,
+        "standard error of the vertical by the reference poses",
+        CheckUnit.DEGREES,
         evidence="more frames with reference poses",
     ),
     CheckName.SESSION_FOCAL_LENGTH: CheckDefinition(
-        estimate="focal length estimated from the images against the captured one",
-        unit=CheckUnit.FRACTION,
+        "focal length estimated from the images against the captured one",
         remedy="correct the captured focal length, image by image where it changes; or, where it's constant and only a "
         f"guess, raise {setting_of('align', 'max_focal_error')}: SfM used the estimated one",
         evidence="a walk that also turns and goes sideways",
     ),
     CheckName.SESSION_MOTION: CheckDefinition(
-        estimate="steps that VIO explains",
-        unit=CheckUnit.FRACTION,
-        remedy=_EXCLUDE_SESSION,
-        evidence="a longer walk with turns",
-        limit_is_minimum=True,
+        "steps that VIO explains", remedy=_EXCLUDE_SESSION, evidence="a longer walk with turns", limit_is_minimum=True
     ),
     CheckName.SESSION_TURNS: CheckDefinition(
-        estimate="turns in SfM against VIO's",
-        unit=CheckUnit.FRACTION,
+        "turns in SfM against VIO's",
         remedy=f"correct the captured focal length, or {_EXCLUDE_SESSION}",
         evidence="a walk with more turns",
     ),
     CheckName.SESSION_ALIASING: CheckDefinition(
-        estimate="frames at places that are far apart in VIO",
-        unit=CheckUnit.FRACTION,
+        "frames at places that are far apart in VIO",
         remedy=f"capture again with distinctive views of each place, or {_EXCLUDE_SESSION}",
     ),
     CheckName.SESSION_SCALE: CheckDefinition(
-        estimate="the session's scale against the others'",
-        unit=CheckUnit.FRACTION,
+        "the session's scale against the others'",
         remedy=f"{_EXCLUDE_SESSION}, or raise {setting_of('align', 'max_session_scale_error')}",
         evidence="a longer walk in this session",
     ),
     CheckName.SESSION_VERTICAL: CheckDefinition(
-        estimate="the session's vertical against the others'",
-        unit=CheckUnit.DEGREES,
+        "the session's vertical against the others'",
+        CheckUnit.DEGREES,
         remedy=f"{_EXCLUDE_SESSION}, or raise {setting_of('align', 'max_session_tilt_deg')}",
         evidence="a longer walk in this session, or a further session",
     ),
     CheckName.RULER_SCALE: CheckDefinition(
-        estimate="the map's scale against the ruler",
-        unit=CheckUnit.FRACTION,
+        "the map's scale against the ruler",
         remedy=f"measure the print: {_MEASURED_PRINT}",
         evidence="views of the whole ruler from several directions, a longer walk, by which VIO's scale is better "
         f"known, or the print's measured size ({_MEASURED_PRINT})",
     ),
     CheckName.CONTROL_POINTS: CheckDefinition(
-        estimate="held-out control points against the map, RMS",
-        unit=CheckUnit.METRES,
+        "held-out control points against the map, RMS",
+        CheckUnit.METRES,
         remedy="correct the survey's files, or measure the points again (docs/how-to/control-points.md); or, where the "
         "survey is right, capture more views of these places, and let a ruler set the scale",
         evidence="six points or more, each seen by three frames or more from different directions",
     ),
     CheckName.WINDOW_POSITION: CheckDefinition(
-        estimate="largest distance between SfM and VIO in a window",
-        unit=CheckUnit.METRES,
+        "largest distance between SfM and VIO in a window",
+        CheckUnit.METRES,
         remedy="capture again with more overlap there",
         evidence="more images there",
     ),
     CheckName.WINDOW_ROTATION: CheckDefinition(
-        estimate="largest angle between SfM and VIO in a window",
-        unit=CheckUnit.DEGREES,
+        "largest angle between SfM and VIO in a window",
+        CheckUnit.DEGREES,
         remedy="capture again with more overlap there",
         evidence="more images there",
     ),
     CheckName.SESSION_REFERENCE: CheckDefinition(
-        estimate="frames away from their reference poses",
-        unit=CheckUnit.FRACTION,
+        "frames away from their reference poses",
         remedy=f"correct the data set's poses or intrinsics, {_EXCLUDE_SESSION}, or raise "
         f"{setting_of('align', 'max_reference_error_m')} or max_reference_error_deg",
     ),
     CheckName.SESSION_DEPTH_SCALE: CheckDefinition(
-        estimate="the depth sensor's depth against the map's",
-        unit=CheckUnit.FRACTION,
+        "the depth sensor's depth against the map's",
         remedy="measure a length in the scene with a ruler, to see whether map or sensor is wrong",
         evidence="more frames with depth, nearer to the surfaces in view",
     ),
     CheckName.SESSION_DEPTH_BY_DISTANCE: CheckDefinition(
-        estimate="the depth sensor's depth against the map's, between near and far points",
-        unit=CheckUnit.FRACTION,
+        "the depth sensor's depth against the map's, between near and far points",
         remedy="check the captured focal length and lens",
         evidence="more frames with depth",
     ),
     CheckName.SESSION_UNCERTAIN: CheckDefinition(
-        estimate="uncertain frames that are inconsistent with VIO",
-        unit=CheckUnit.FRACTION,
-        remedy="capture with more overlap between images",
+        "uncertain frames that are inconsistent with VIO", remedy="capture with more overlap between images"
     ),
     CheckName.COMPONENT_LINK: CheckDefinition(
-        estimate="VIO path between the SfM models",
-        unit=CheckUnit.METRES,
+        "VIO path between the SfM models",
+        CheckUnit.METRES,
         remedy=f"capture images between the two places, or raise {setting_of('align', 'vio_link_m')}",
     ),
 }

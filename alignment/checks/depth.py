@@ -29,12 +29,9 @@ def check_depth(agreement: pd.DataFrame) -> tuple[list[CheckResult], list[str]]:
         if not is_whole.any():
             reason = f"too little depth within {MAX_RANGE_M:g} m to check the map by"
             lines.append(f"{session_id}: {reason}")
-            subject, failure = Subject(int(of_session["frames"].max()), session_id, int(component)), _failure(reason)
-            results.append(
-                evaluate(
-                    CheckName.SESSION_DEPTH_SCALE, subject, Quantity(), _MAX_SCALE_ERROR, failure, Status.UNDECIDED
-                )
-            )
+            subject, open_ = Subject(int(of_session["frames"].max()), session_id, int(component)), Status.UNDECIDED
+            name, limit = CheckName.SESSION_DEPTH_SCALE, _MAX_SCALE_ERROR
+            results.append(evaluate(name, subject, Quantity(), limit, _failure(reason), open_))
             continue
         whole, bins = rows[is_whole].iloc[0], rows[~is_whole & (rows["far_m"] <= MAX_RANGE_M)]
         subject = Subject(int(whole["frames"]), session_id, int(component))
@@ -47,23 +44,17 @@ def check_depth(agreement: pd.DataFrame) -> tuple[list[CheckResult], list[str]]:
         estimate = Quantity(abs(error), sd)
         results.append(evaluate(CheckName.SESSION_DEPTH_SCALE, subject, estimate, _MAX_SCALE_ERROR, _failure(reason)))
         if len(bins) > 1:
-            results.append(_check_by_distance(bins, subject))
+            # The largest difference between the ratios of two distances.
+            ordered = bins.sort_values("median_ratio")
+            low, high = ordered.iloc[0], ordered.iloc[-1]
+            sd = float(np.hypot(low["median_ratio_se"], high["median_ratio_se"]))
+            estimate = Quantity(float(high["median_ratio"] - low["median_ratio"]), sd)
+            failure = _failure(
+                f"depth by the sensor over depth by the map differs with distance: {low['median_ratio']:.3f} from "
+                f"{low['near_m']:g} m, {high['median_ratio']:.3f} from {high['near_m']:g} m"
+            )
+            results.append(evaluate(CheckName.SESSION_DEPTH_BY_DISTANCE, subject, estimate, _MAX_SPREAD, failure))
     return results, lines
-
-
-def _check_by_distance(bins: pd.DataFrame, subject: Subject) -> CheckResult:
-    """The largest difference between the ratios of two distances, rows of the depth_agreement table."""
-    ordered = bins.sort_values("median_ratio")
-    low, high = ordered.iloc[0], ordered.iloc[-1]
-    estimate = Quantity(
-        float(high["median_ratio"] - low["median_ratio"]),
-        float(np.hypot(low["median_ratio_se"], high["median_ratio_se"])),
-    )
-    failure = _failure(
-        f"depth by the sensor over depth by the map differs with distance: {low['median_ratio']:.3f} from "
-        f"{low['near_m']:g} m, {high['median_ratio']:.3f} from {high['near_m']:g} m"
-    )
-    return evaluate(CheckName.SESSION_DEPTH_BY_DISTANCE, subject, estimate, _MAX_SPREAD, failure)
 
 
 def _failure(reason: str) -> Failure:

@@ -1,15 +1,18 @@
-"""Results of checks: value, limit and status, and the frames that lose their ground truth or its class by them."""
+"""Results of checks: value, limit and status, and the frames that lose their ground truth or its class by them; as a
+table, and as lines for the user."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.alignment.checks.definitions import ADVICE_BY_CAUSE, DEFINITIONS
 from groundwalk.consistency.decisions import Status, decide
 from groundwalk.store.choices import CheckName, CheckUnit, FailureCause
+from groundwalk.store.schemas import schema
 
 Rows = NDArray[np.intp]
 """Positions in the frames table."""
@@ -36,7 +39,7 @@ class Quantity(NamedTuple):
     sd: float | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Failure:
     """What a failure means. `rows` then get no ground truth; where the check is undecided they are of class C at best,
     unless `lowers_class` is false."""
@@ -80,12 +83,7 @@ class CheckResult:
 
 
 def evaluate(
-    name: CheckName,
-    subject: Subject,
-    estimate: Quantity,
-    limit: float,
-    failure: Failure,
-    status: Status | None = None,
+    name: CheckName, subject: Subject, estimate: Quantity, limit: float, failure: Failure, status: Status | None = None
 ) -> CheckResult:
     """Compare an estimate with its limit: passed, failed, or undecided where its standard error leaves both open or it
     is NaN; no estimate fails. `status` where the caller has decided already."""
@@ -144,6 +142,48 @@ def main_failure(results: Sequence[CheckResult]) -> CheckResult | None:
         (_PRIORITY.index(r.cause), -r.subject.frames, r) for r in results if r.status is Status.FAILED and r.cause
     ]
     return min(failed, key=lambda entry: entry[:2])[2] if failed else None
+
+
+def checks_table(results: Sequence[CheckResult]) -> pd.DataFrame:
+    """The align.checks table."""
+    rows = [
+        {
+            "check": result.name,
+            "session_id": result.subject.session_id,
+            "component": result.subject.component,
+            "t_start_ns": None if result.subject.t_ns is None else int(result.subject.t_ns[0]),
+            "t_end_ns": None if result.subject.t_ns is None else int(result.subject.t_ns[-1]),
+            "frames": result.subject.frames,
+            "unit": DEFINITIONS[result.name].unit,
+            **{name: getattr(result, name) for name in ("value", "sd", "limit", "status", "cause", "reason", "advice")},
+        }
+        for result in results
+    ]
+    table = pd.DataFrame(rows, columns=schema("align", "checks").column_names)
+    table[["value", "sd"]] = table[["value", "sd"]].astype(float)
+    return table.astype({"t_start_ns": "Int64", "t_end_ns": "Int64", "component": "Int64"})
+
+
+def describe(results: Sequence[CheckResult]) -> list[str]:
+    """How many checks failed or are undecided, and a line for each of them, windows of a session together."""
+    counts = {status: len(with_status(results, status)) for status in (Status.FAILED, Status.UNDECIDED)}
+    parts = [f"{count} {status}" for status, count in counts.items() if count]
+    lines = [f"checks: {', '.join(parts)} of {len(results)}" if parts else f"checks: all {len(results)} passed"]
+    undecided = dict.fromkeys(result.name for result in with_status(results, Status.UNDECIDED))
+    if undecided:
+        lines[0] += f"; undecided: {', '.join(undecided)}"
+    groups: dict[tuple[Status, CheckName, str], list[CheckResult]] = {}
+    for status in counts:
+        for result in with_status(results, status):
+            groups.setdefault((status, result.name, result.subject.session_id), []).append(result)
+    for (status, name, session_id), group in groups.items():
+        session = f", {session_id}" if session_id else ""
+        cause = f"{group[0].cause}: " if status is Status.FAILED else ""
+        count = f" ({len(group)} checks)" if len(group) > 1 else ""
+        decides = " would decide it" if status is Status.UNDECIDED else ""
+        advice = f"; {group[0].advice}{decides}" if group[0].advice else ""
+        lines.append(f"  {status}: {name}{session}: {cause}{group[0].reason}{count}{advice}")
+    return lines
 
 
 def _with_unit(estimate: Quantity, unit: CheckUnit) -> str:

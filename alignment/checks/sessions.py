@@ -3,13 +3,14 @@
 Where there is no standard error, frames are counted: all of them, not a sample.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from groundwalk.alignment.checks.results import CheckResult, Exclusion, Failure, Quantity, Rows, Subject, evaluate
-from groundwalk.alignment.components import Component
-from groundwalk.alignment.segments import Segment, registered_rows, sessions_of
+from groundwalk.alignment.components import Component, MapScale, Vertical
+from groundwalk.alignment.segments import registered_rows, sessions_of
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import FocalEstimate, SfmTables
 from groundwalk.consistency.decisions import Status, fraction_sd
@@ -28,7 +29,6 @@ _FAULTS_OF_MODEL = {
     CheckName.SESSION_TURNS: _BENT,
     CheckName.SESSION_FOCAL_LENGTH: _BENT,
 }
-_INCONSISTENT = (FailureCause.VIO_INCONSISTENT, "most relative poses in SfM are inconsistent with VIO")
 _CAUSES = {
     MIRRORED: FailureCause.MIRRORED_IMAGES,
     UPSIDE_DOWN: FailureCause.MIRRORED_IMAGES,
@@ -36,65 +36,47 @@ _CAUSES = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class SessionEvidence:
-    """What is known of a session in an SfM model: its registered `rows` of the frames table, its motion against VIO,
-    its focal length by the images (None: unknown); without VIO nothing else is checked. `pairs_match_vio`: pairs of its
-    images, without any model, move as VIO does, so that images and poses belong together and the model is what is
-    wrong."""
+class _About(NamedTuple):
+    """A session in an SfM model, and its registered rows of the frames table."""
 
     subject: Subject
-    recording: str
     rows: Rows
-    segments: list[Segment]
-    component: Component
-    diagnosis: Diagnosis
-    focal: FocalEstimate | None
-    pairs_match_vio: bool
 
 
 def check_sessions(component: Component, sfm: SfmTables, settings: AlignSettings) -> list[CheckResult]:
     """All checks of the sessions of a model. A session that fails one gets no ground truth, nor does any frame of a
-    model that the fault leaves nothing of right."""
+    model that the fault leaves nothing of right; without VIO only its focal length is checked."""
     results: list[CheckResult] = []
     for session_id in sessions_of(component.segments):
         segments = [s for s in component.segments if s.session_id == session_id]
-        rows = registered_rows(segments)
-        if len(rows):
-            evidence = SessionEvidence(
-                subject=Subject(len(rows), session_id, component.index),
-                recording=segments[0].recording,
-                rows=rows,
-                segments=segments,
-                component=component,
-                diagnosis=diagnose([s.trajectory_pair for s in segments], VIO_DRIFT),
-                focal=sfm.focal(component.model_id, session_id),
-                pairs_match_vio=sfm.pairs_match_vio(session_id),
-            )
-            results += [_with_model(result, component) for result in _check_session(evidence, settings)]
+        rows, recording = registered_rows(segments), segments[0].recording
+        if not len(rows):
+            continue
+        about = _About(Subject(len(rows), session_id, component.index), rows)
+        focal = sfm.focal(component.model_id, session_id)
+        of_focal = check_focal_length(about.subject, rows, focal, settings.max_focal_error)
+        found = [of_focal]
+        if any(segment.has_vio.any() for segment in segments):
+            diagnosis = diagnose([s.trajectory_pair for s in segments], VIO_DRIFT)
+            # Pairs of its images, without any model, move as VIO does: images and poses belong together, and the model
+            # is what is wrong.
+            pairs_match = sfm.pairs_match_vio(session_id)
+            motion = _motion(about, diagnosis, pairs_match=pairs_match)
+            found.append(motion)
+            if motion.status is not Status.FAILED and not (focal is not None and focal.is_confirmed):
+                found.append(_turns(about, diagnosis, of_focal))
+            if motion.status is not Status.FAILED or pairs_match:
+                found.append(_aliasing(about, diagnosis))
+            # A scale or vertical by wrong poses decides nothing.
+            if not any(r is not None and r.status is Status.FAILED for r in found):
+                found.append(_scale(about, component.vio_scale, recording, settings.max_session_scale_error))
+                found.append(_vertical(about, component.vertical, recording, settings.max_session_tilt_deg))
+        results += [result for result in found if result is not None]
+    for number, result in enumerate(results):
+        if result.status is Status.FAILED and result.name in _FAULTS_OF_MODEL:
+            of_model = Exclusion(component.registered_rows, _FAULTS_OF_MODEL[result.name], is_of_model=True)
+            results[number] = replace(result, exclusions=(*result.exclusions, of_model))
     return results
-
-
-def _check_session(evidence: SessionEvidence, settings: AlignSettings) -> list[CheckResult]:
-    focal = check_focal_length(evidence.subject, evidence.rows, evidence.focal, settings.max_focal_error)
-    if not any(segment.has_vio.any() for segment in evidence.segments):
-        return [focal] if focal is not None else []
-    motion = check_motion(evidence)
-    results = [focal, motion, check_turns(evidence, focal, motion), check_aliasing(evidence, motion)]
-    # A scale or vertical by wrong poses decides nothing.
-    if not any(r is not None and r.status is Status.FAILED for r in results):
-        results += [
-            check_scale(evidence, settings.max_session_scale_error),
-            check_vertical(evidence, settings.max_session_tilt_deg),
-        ]
-    return [result for result in results if result is not None]
-
-
-def _with_model(result: CheckResult, component: Component) -> CheckResult:
-    if result.status is not Status.FAILED or result.name not in _FAULTS_OF_MODEL:
-        return result
-    of_model = Exclusion(component.registered_rows, _FAULTS_OF_MODEL[result.name], is_of_model=True)
-    return replace(result, exclusions=(*result.exclusions, of_model))
 
 
 def check_focal_length(subject: Subject, rows: Rows, focal: FocalEstimate | None, limit: float) -> CheckResult | None:
@@ -112,91 +94,69 @@ def check_focal_length(subject: Subject, rows: Rows, focal: FocalEstimate | None
         if half_step > abs(error):
             # A step is one by being beyond all scatter.
             estimate = Quantity(half_step, 0.0)
-    failure = Failure(cause=FailureCause.WRONG_INTRINSICS, reason=reason, rows=rows, lowers_class=False)
+    failure = Failure(FailureCause.WRONG_INTRINSICS, reason, rows, lowers_class=False)
     return evaluate(CheckName.SESSION_FOCAL_LENGTH, subject, estimate, limit, failure)
 
 
-def check_motion(evidence: SessionEvidence) -> CheckResult:
+def _motion(about: _About, diagnosis: Diagnosis, *, pairs_match: bool) -> CheckResult:
     """The fraction of steps that VIO explains; each frame is in about two of them, which are correlated."""
-    motions = evidence.diagnosis.motions
-    cause, reason = _INCONSISTENT
-    if motions.mistake is not None and not evidence.pairs_match_vio:
+    motions = diagnosis.motions
+    cause, reason = FailureCause.VIO_INCONSISTENT, "most relative poses in SfM are inconsistent with VIO"
+    if motions.mistake is not None and not pairs_match:
         cause, reason = _CAUSES[motions.mistake], MISTAKE_REASONS[motions.mistake]
     # Mirrored images are a fault although a straight walk agrees: the mirrored motion must explain more.
     is_mirrored = cause is FailureCause.MIRRORED_IMAGES
     limit = max(motions.mirrors.values()) if is_mirrored else _MIN_MOTION_AGREEMENT
     estimate = Quantity(motions.explained, fraction_sd(motions.explained, motions.pairs / 2))
-    failure = Failure(cause=cause, reason=reason, rows=evidence.rows)
-    return evaluate(CheckName.SESSION_MOTION, evidence.subject, estimate, limit, failure)
+    return evaluate(CheckName.SESSION_MOTION, about.subject, estimate, limit, Failure(cause, reason, about.rows))
 
 
-def check_turns(evidence: SessionEvidence, focal: CheckResult | None, motion: CheckResult) -> CheckResult | None:
-    """How much more or less SfM turns than VIO, as by a wrong focal length. None where motion disagrees altogether, the
-    session hardly turns, or the images confirm the focal length: then VIO is what turns wrongly."""
-    motions = evidence.diagnosis.motions
-    is_confirmed = evidence.focal is not None and evidence.focal.is_confirmed
-    if is_confirmed or not np.isfinite(motions.turn_gain) or motion.status is Status.FAILED:
+def _turns(about: _About, diagnosis: Diagnosis, focal: CheckResult | None) -> CheckResult | None:
+    """How much more or less SfM turns than VIO, as by a wrong focal length. None where the session hardly turns."""
+    motions = diagnosis.motions
+    if not np.isfinite(motions.turn_gain):
         return None
     error = motions.turn_gain - 1
-    failure = Failure(
-        cause=FailureCause.WRONG_INTRINSICS,
-        reason=f"SfM turns {abs(error):.1%} {'less' if error < 0 else 'more'} than VIO: the focal length isn't the "
-        "captured one",
-        rows=evidence.rows,
-        # A focal length that passed has its standard error in the frames' covariances.
-        lowers_class=focal is None or focal.status is not Status.PASSED,
-    )
+    turns = f"SfM turns {abs(error):.1%} {'less' if error < 0 else 'more'} than VIO"
+    reason = f"{turns}: the focal length isn't the captured one"
+    # A focal length that passed has its standard error in the frames' covariances.
+    lowers_class = focal is None or focal.status is not Status.PASSED
+    failure = Failure(FailureCause.WRONG_INTRINSICS, reason, about.rows, lowers_class)
     estimate = Quantity(abs(error), motions.turn_gain_sd)
-    return evaluate(CheckName.SESSION_TURNS, evidence.subject, estimate, MAX_TURN_GAIN_ERROR, failure)
+    return evaluate(CheckName.SESSION_TURNS, about.subject, estimate, MAX_TURN_GAIN_ERROR, failure)
 
 
-def check_aliasing(evidence: SessionEvidence, motion: CheckResult) -> CheckResult | None:
-    """The fraction of frames at places that are far apart in VIO; None where images and poses don't belong together."""
-    if motion.status is Status.FAILED and not evidence.pairs_match_vio:
+def _aliasing(about: _About, diagnosis: Diagnosis) -> CheckResult:
+    """The fraction of frames at places that are far apart in VIO."""
+    reason = f"SfM merges places that are up to {diagnosis.aliased_m:.1f} m apart in VIO"
+    failure = Failure(FailureCause.PERCEPTUAL_ALIASING, reason, about.rows)
+    estimate = Quantity(diagnosis.aliased_fraction)
+    return evaluate(CheckName.SESSION_ALIASING, about.subject, estimate, MAX_ALIASED_FRACTION, failure)
+
+
+def _scale(about: _About, scale: MapScale, recording: str, limit: float) -> CheckResult | None:
+    """The scale by the session's recording against the map's by VIO; None for the only recording. Undecided it lowers
+    no frame's class: the scale is what all frames share, and windows are compared at the map's."""
+    if recording not in scale.recordings or len(scale.recordings) < 2:
         return None
-    failure = Failure(
-        cause=FailureCause.PERCEPTUAL_ALIASING,
-        reason=f"SfM merges places that are up to {evidence.diagnosis.aliased_m:.1f} m apart in VIO",
-        rows=evidence.rows,
-    )
-    estimate = Quantity(evidence.diagnosis.aliased_fraction)
-    return evaluate(CheckName.SESSION_ALIASING, evidence.subject, estimate, MAX_ALIASED_FRACTION, failure)
-
-
-def check_scale(evidence: SessionEvidence, limit: float) -> CheckResult | None:
-    """The scale by the session's recording against the map's; None for the only recording. Undecided it lowers no
-    frame's class: the scale is what all frames share, and windows are compared at the map's."""
-    scale = evidence.component.vio_scale
-    if evidence.recording not in scale.recordings or len(scale.recordings) < 2:
-        return None
-    of_recording = scale.recordings[evidence.recording]
+    of_recording = scale.recordings[recording]
     error = float(np.expm1(of_recording.log - scale.log))
-    failure = Failure(
-        cause=FailureCause.WRONG_VIO_SCALE,
-        reason=f"this session's VIO measures {abs(error):.1%} {'more' if error > 0 else 'less'} than the others'",
-        rows=evidence.rows,
-        lowers_class=False,
-    )
-    estimate = Quantity(abs(error), of_recording.sd)
-    return evaluate(CheckName.SESSION_SCALE, evidence.subject, estimate, limit, failure)
+    reason = f"this session's VIO measures {abs(error):.1%} {'more' if error > 0 else 'less'} than the others'"
+    failure = Failure(FailureCause.WRONG_VIO_SCALE, reason, about.rows, lowers_class=False)
+    return evaluate(CheckName.SESSION_SCALE, about.subject, Quantity(abs(error), of_recording.sd), limit, failure)
 
 
-def check_vertical(evidence: SessionEvidence, limit_deg: float) -> CheckResult | None:
+def _vertical(about: _About, vertical: Vertical, recording: str, limit_deg: float) -> CheckResult | None:
     """The vertical by the session's recording against the map's; otherwise as for the scale. Where recordings differ
     and nothing tells which is right, each is undecided."""
-    vertical = evidence.component.vertical
-    if evidence.recording not in vertical.recordings or len(vertical.recordings) < 2:
+    if recording not in vertical.recordings or len(vertical.recordings) < 2:
         return None
-    of_recording = vertical.recordings[evidence.recording]
-    others = [other.up_sfm for name, other in vertical.recordings.items() if name != evidence.recording]
+    of_recording = vertical.recordings[recording]
+    others = [other.up_sfm for name, other in vertical.recordings.items() if name != recording]
     ups = np.stack([vertical.up_sfm] if vertical.is_agreed else others)
     tilt_deg = float(np.degrees(direction_angles(ups, of_recording.up_sfm).max()))
-    failure = Failure(
-        cause=FailureCause.WRONG_VIO_GRAVITY,
-        reason=f"this session's gravity points {tilt_deg:.1f} degrees away from the others'",
-        rows=evidence.rows,
-        lowers_class=False,
-    )
+    reason = f"this session's gravity points {tilt_deg:.1f} degrees away from the others'"
+    failure = Failure(FailureCause.WRONG_VIO_GRAVITY, reason, about.rows, lowers_class=False)
     estimate = Quantity(tilt_deg, float(np.degrees(of_recording.sd)))
     status = None if vertical.is_agreed else Status.UNDECIDED
-    return evaluate(CheckName.SESSION_VERTICAL, evidence.subject, estimate, limit_deg, failure, status)
+    return evaluate(CheckName.SESSION_VERTICAL, about.subject, estimate, limit_deg, failure, status)

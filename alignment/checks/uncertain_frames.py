@@ -20,6 +20,10 @@ from groundwalk.store.choices import CheckName, FailureCause, QualityClass
 _STEP_M, _MAX_DEVIATION = 5.0, 0.018
 # VIO's drift between certain frames is this quantile of its deviations, of at least so many steps.
 _DRIFT_QUANTILE, _MIN_STEPS = 0.99, 20
+_REASON = (
+    f"uncertain pose in SfM: its motion differs from VIO's by more than {_MAX_DEVIATION:.1%} of the path, and by more "
+    "than that of frames with certain poses"
+)
 
 
 def check_uncertain_frames(
@@ -54,25 +58,15 @@ def check_uncertain_frames(
             uncertain = rows[~is_certain[rows]]
             if len(uncertain):
                 inconsistent = np.concatenate([_inconsistent(s, component.metric_S_sfm, is_certain) for s in compared])
-                count = len(registered_rows(component.segments, session_id))
-                subject = Subject(count, session_id, component.index)
-                results.append(_check(uncertain, inconsistent, subject, 1 - min_consistent))
+                excluded = inconsistent if len(inconsistent) <= len(uncertain) / 2 else uncertain
+                subject = Subject(len(registered_rows(component.segments, session_id)), session_id, component.index)
+                share, limit = Quantity(len(excluded) / subject.frames), 1 - min_consistent
+                of_all = f"{len(inconsistent)} of {len(uncertain)} uncertain frames"
+                reason = f"{of_all}: pose in SfM inconsistent with VIO"
+                failure = Failure(cause=FailureCause.VIO_INCONSISTENT, reason=reason)
+                result = evaluate(CheckName.SESSION_UNCERTAIN, subject, share, limit, failure)
+                results.append(replace(result, exclusions=(Exclusion(excluded, _REASON),)))
     return results
-
-
-def _check(uncertain: Rows, inconsistent: Rows, subject: Subject, limit: float) -> CheckResult:
-    count, total = len(inconsistent), len(uncertain)
-    excluded = inconsistent if count <= total / 2 else uncertain
-    failure = Failure(
-        cause=FailureCause.VIO_INCONSISTENT,
-        reason=f"{count} of {total} uncertain frames: pose in SfM inconsistent with VIO",
-    )
-    result = evaluate(CheckName.SESSION_UNCERTAIN, subject, Quantity(len(excluded) / subject.frames), limit, failure)
-    reason = (
-        f"uncertain pose in SfM: its motion differs from VIO's by more than {_MAX_DEVIATION:.1%} of the path, and by "
-        "more than that of frames with certain poses"
-    )
-    return replace(result, exclusions=(Exclusion(excluded, reason),))
 
 
 def _inconsistent(segment: Segment, metric_S_sfm: Sim3, is_certain: np.ndarray) -> Rows:

@@ -14,6 +14,8 @@ from groundwalk.consistency.windows import POSE_SD, WINDOW_M, compare_windows
 from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import CheckName, FailureCause
 
+_REASON = "pose in SfM inconsistent with VIO"
+
 
 def component_windows(component: Component, frame_sd: tuple[Array, Array]) -> list[SegmentWindow]:
     """The windows of a metric model, each with VIO rigidly fitted to SfM at the common scale; `frame_sd`: standard
@@ -51,16 +53,9 @@ def _check_residuals(
         Subject(len(rows), window.segment.session_id, window.segment.component, t_ns),
         Quantity(unit * float(residuals[worst]), unit * float(sds[worst])),
         unit * limit,
-        Failure(
-            cause=FailureCause.VIO_INCONSISTENT,
-            reason=f"{int(window.wrong.sum())} of {len(rows)} frames: pose in SfM inconsistent with VIO",
-        ),
+        Failure(FailureCause.VIO_INCONSISTENT, f"{int(window.wrong.sum())} of {len(rows)} frames: {_REASON}"),
     )
-    return replace(
-        result,
-        exclusions=(Exclusion(rows[wrong], "pose in SfM inconsistent with VIO"),),
-        undecided_rows=rows[~wrong & ~right],
-    )
+    return replace(result, exclusions=(Exclusion(rows[wrong], _REASON),), undecided_rows=rows[~wrong & ~right])
 
 
 def max_residuals(count: int, windows: Sequence[SegmentWindow]) -> tuple[Array, Array]:

@@ -4,8 +4,8 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from groundwalk.alignment.rulers.settings import Dictionary
-from groundwalk.store import Settings, UserError
+from groundwalk.alignment.rulers.settings import Dictionary, named
+from groundwalk.store import Settings
 from groundwalk.store.settings import validated
 
 
@@ -44,15 +44,4 @@ class ControlSettings(Settings):
 
 def controls_of(tables: Any) -> list[ControlSettings]:
     """The `[[control]]` tables as settings; UserError says which one is wrong and how."""
-    if not isinstance(tables, list) or not all(isinstance(table, dict | ControlSettings) for table in tables):
-        raise UserError("controls, the control points, are a list of tables", found=tables, expected="[[control]] ...")
-    controls = [
-        table
-        if isinstance(table, ControlSettings)
-        else validated(ControlSettings, table, f"[[control]] number {number}")
-        for number, table in enumerate(tables, start=1)
-    ]
-    names = [control.name for control in controls]
-    if repeated := [name for name in names if names.count(name) > 1]:
-        raise UserError(f"two surveys are named {repeated[0]!r}", where="[[control]]", do="give each another name")
-    return controls
+    return named(tables, "surveys", "control", lambda table, where: validated(ControlSettings, table, where))

@@ -18,46 +18,35 @@ _ARROW = 0.1
 
 
 def control_table(checks: Sequence[ControlCheck]) -> pd.DataFrame:
-    """A row a survey."""
-    rows = [_row(check) for check in checks]
-    return pd.DataFrame(rows, columns=schema("align", "control").column_names)
+    """A row a survey; what no fit says is NaN."""
+    return pd.DataFrame([_row(check) for check in checks], columns=schema("align", "control").column_names)
 
 
 def _row(check: ControlCheck) -> dict[str, object]:
-    fit, errors, (rms, expected_rms) = check.fit, check.error_m[check.held_out], check.rms_m
-    survey_S_map = None if fit is None else fit.survey_S_map
-    pose = (
-        np.full((4, 4), np.nan) if survey_S_map is None else make_pose(survey_S_map.rotation, survey_S_map.translation)
-    )
-    rotation_sd, shift_sd = (
-        (np.nan, np.nan)
-        if fit is None
-        else (float(np.sqrt(np.linalg.eigvalsh(fit.covariance[part, part])[-1])) for part in (slice(0, 3), slice(3, 6)))
-    )
-    figures = {
-        "rms_m": rms,
-        "worst_m": float(errors.max()) if len(errors) else np.nan,
-        "expected_rms_m": expected_rms,
-        "within_bounds": float(check.within_bounds[check.held_out].mean()) if len(errors) else np.nan,
-        "map_scale": np.nan if survey_S_map is None else survey_S_map.scale,
-        "scale": check.scale[0],
-        "scale_sd": check.scale[1],
-        "tilt_deg": check.tilt_deg[0],
-        "tilt_sd_deg": check.tilt_deg[1],
-        "rotation_sd_deg": np.degrees(rotation_sd),
-        "position_sd_m": shift_sd,
-    }
-    return {
+    errors, (rms, expected_rms) = check.error_m[check.held_out], check.rms_m
+    row: dict[str, object] = {
         "control": check.points.settings.name,
         "points": len(check.used),
         "used": int(check.used.sum()),
         "held_out": len(errors),
-        "fit": "none" if fit is None else "se3" if survey_S_map is not None and survey_S_map.scale == 1.0 else "sim3",
-        **figures,
-        **{str(name): values[0] for name, values in pose_frame("survey_map", pose[None]).items()},
+        "fit": "none",
+        "rms_m": rms,
+        "expected_rms_m": expected_rms,
+        **dict(zip(("scale", "scale_sd", "tilt_deg", "tilt_sd_deg"), check.scale + check.tilt_deg, strict=True)),
         "status": check.result.status,
         "reason": check.result.reason,
     }
+    if len(errors):
+        within = float(check.within_bounds[check.held_out].mean())
+        row |= {"worst_m": float(errors.max()), "within_bounds": within}
+    if check.fit is not None:
+        survey_S_map, covariance = check.fit.survey_S_map, check.fit.covariance
+        pose = pose_frame("survey_map", make_pose(survey_S_map.rotation, survey_S_map.translation)[None])
+        sds = [float(np.sqrt(np.linalg.eigvalsh(part)[-1])) for part in (covariance[:3, :3], covariance[3:6, 3:6])]
+        row |= {str(name): values[0] for name, values in pose.items()}
+        row |= {"fit": "se3" if survey_S_map.scale == 1.0 else "sim3", "map_scale": survey_S_map.scale}
+        row |= {"rotation_sd_deg": np.degrees(sds[0]), "position_sd_m": sds[1]}
+    return row
 
 
 def points_table(checks: Sequence[ControlCheck]) -> pd.DataFrame:

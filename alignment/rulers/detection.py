@@ -4,7 +4,6 @@ import's pixel convention."""
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -61,7 +60,12 @@ def find_rulers(
     """
     boards = [ruler for ruler in rulers if not isinstance(ruler, DistanceRuler)]
     paths = [image_path(image) for image in frames["image"]] if boards else []
-    by_image = detect_all(boards, paths)
+
+    def detect_in(path: Path) -> list[Detection]:
+        image = read_grey_image(path)
+        return [detect(ruler, image) for ruler in boards]
+
+    by_image = list(in_parallel(detect_in, paths))
     return [
         _read_off(ruler, frames)
         if isinstance(ruler, DistanceRuler)
@@ -155,28 +159,23 @@ def detect(ruler: BoardRuler, image: Grey) -> Detection:
     return Detection(corner, np.array([xy for _, xy in tags]).reshape(-1, 2) + CENTRE_OF_FIRST_PIXEL)
 
 
-def detect_all(rulers: Sequence[BoardRuler], paths: Sequence[Path]) -> list[list[Detection]]:
-    """Each image's detections, one for each ruler, on all cores. UserError for an image that can't be read."""
-
-    def detect_in(path: Path) -> list[Detection]:
-        image = read_grey_image(path)
-        return [detect(ruler, image) for ruler in rulers]
-
-    return list(in_parallel(detect_in, paths)) if rulers else [[] for _ in paths]
-
-
 def explain_absence(ruler: BoardRuler, paths: Sequence[Path]) -> str:
     """Why a ruler isn't detected in any of these images, by searching a few of them for other boards, in words."""
     step = max(1, len(paths) // _SEARCHED)
     images = [read_grey_image(path) for path in paths[::step][:_SEARCHED]]
 
-    if count := _count_images(ruler, [np.ascontiguousarray(image[:, ::-1]) for image in images]):
+    def count_in(ruler: BoardRuler, images: Sequence[Grey]) -> int:
+        return sum(len(detect(ruler, image).corner) > 0 for image in images)
+
+    if count := count_in(ruler, [np.ascontiguousarray(image[:, ::-1]) for image in images]):
         return (
             f"mirrored: it is detected in {count} of {len(images)} images once these are mirrored; print it unmirrored"
         )
     if isinstance(ruler, CharucoRuler):
-        for change in _other_layouts(ruler):
-            if count := _count_images(ruler.model_copy(update=change), images):
+        swapped = {"squares_x": ruler.squares_y, "squares_y": ruler.squares_x}
+        legacy = {"legacy": not ruler.legacy}
+        for change in (legacy, swapped, swapped | legacy):
+            if count := count_in(ruler.model_copy(update=change), images):
                 stated = ", ".join(f"{key} = {str(value).lower()}" for key, value in change.items())
                 return f"another layout: with {stated} it is detected in {count} of {len(images)} images"
     markers = max(len(markers_in(ruler.dictionary, image)) for image in images)
@@ -192,10 +191,6 @@ def explain_absence(ruler: BoardRuler, paths: Sequence[Path]) -> str:
     if counts[best] >= _MIN_MARKERS:
         return f"another dictionary: up to {counts[best]} markers of {best} in an image, none of {ruler.dictionary}"
     return f"no marker of {ruler.dictionary}, or of any other dictionary, in {len(images)} images"
-
-
-def _count_images(ruler: BoardRuler, images: Sequence[Grey]) -> int:
-    return sum(len(detect(ruler, image).corner) > 0 for image in images)
 
 
 def _board(ruler: CharucoRuler) -> cv2.aruco.CharucoBoard:
@@ -232,9 +227,3 @@ def markers_in(name: str, image: Grey) -> list[tuple[int, Array]]:
         if ids is None
         else [(int(tag), np.asarray(xy, dtype=float)[0]) for tag, xy in zip(ids.ravel(), corners, strict=True)]
     )
-
-
-def _other_layouts(ruler: CharucoRuler) -> list[dict[str, Any]]:
-    swapped = {"squares_x": ruler.squares_y, "squares_y": ruler.squares_x}
-    legacy = {"legacy": not ruler.legacy}
-    return [legacy, swapped, {**swapped, **legacy}]

@@ -100,7 +100,13 @@ def measure_rulers(
             in_model = registered[ruler.row] & (model_id[ruler.row] == model) & np.isfinite(observations.xy).all(axis=1)
             measurement = RulerMeasurement(ruler, str(model), in_model, cam_T_row)
             fits = _fit_parts(measurement, observations, poses, covariance)
-            measurements.append(_judged(replace(measurement, fits=fits), frames))
+            measurement = replace(measurement, fits=fits)
+            if RulerPart.ALL in fits and (not ruler.ruler.use_for_scale or RulerPart.FOR_SCALE in fits):
+                notes = _notes(measurement, fits[RulerPart.ALL], frames)
+                measurement = replace(measurement, problem=_weakness(measurement), notes=notes)
+            else:
+                measurement = replace(measurement, fits={}, problem=_too_few(measurement, frames))
+            measurements.append(measurement)
     return measurements
 
 
@@ -109,7 +115,12 @@ def observations_of(
 ) -> tuple[Observations, Array]:
     """Pixels (M, 2) of corners (M,) in these rows (M,) of the frames table without lens and rolling shutter, and where
     (M, 4, 4) the camera was when each one's row was exposed, in the axes of its frame's pose."""
-    xy, focal_px = undistorted(frames, row, xy_px)
+    # NaN where a frame's lens model can't be inverted.
+    xy, focal_px = np.full((len(row), 2), np.nan), np.empty(len(row))
+    for number in np.unique(row).tolist():
+        camera = camera_of(frames.iloc[number])
+        focal_px[row == number] = np.sqrt(camera.fx * camera.fy)
+        xy[row == number] = camera.unproject(xy_px[row == number])
     line = readout_lines(frames["first_row"], frames["width"], frames["height"])[row]
     tau = images["readout_s"].to_numpy(float)[row] * readout_fraction(line, xy_px)
     angular, velocity = (
@@ -117,18 +128,6 @@ def observations_of(
     )
     cam_T_row = rows_in_camera(angular, velocity, tau)
     return Observations(corner, row, xy, focal_px, cam_T_row), cam_T_row
-
-
-def undistorted(frames: pd.DataFrame, rows: Indices, xy_px: Array) -> tuple[Array, Array]:
-    """Normalised image coordinates (M, 2) without distortion, of pixels (M, 2) in these rows of `frames`, and the focal
-    length (M,) there. NaN where a frame's lens model can't be inverted."""
-    xy, focal_px = np.full((len(rows), 2), np.nan), np.empty(len(rows))
-    for row in np.unique(rows):
-        same = rows == row
-        camera = camera_of(frames.iloc[int(row)])
-        focal_px[same] = np.sqrt(camera.fx * camera.fy)
-        xy[same] = camera.unproject(xy_px[same])
-    return xy, focal_px
 
 
 def _fit_parts(
@@ -146,15 +145,6 @@ def _fit_parts(
         with suppress(GeometryError):
             fits[part] = measure(detections.corners, observations.where(rows), poses, covariance, min_pixel_sd=sd_px)
     return fits
-
-
-def _judged(measurement: RulerMeasurement, frames: pd.DataFrame) -> RulerMeasurement:
-    """With its problem and notes; without fits where they are too few."""
-    fits = measurement.fits
-    if RulerPart.ALL not in fits or (measurement.ruler.use_for_scale and RulerPart.FOR_SCALE not in fits):
-        return replace(measurement, fits={}, problem=_too_few(measurement, frames))
-    notes = _notes(measurement, fits[RulerPart.ALL], frames)
-    return replace(measurement, problem=_weakness(measurement), notes=notes)
 
 
 def _too_few(measurement: RulerMeasurement, frames: pd.DataFrame) -> str:

@@ -11,6 +11,7 @@ from groundwalk.alignment.components import Component, MapScale
 from groundwalk.alignment.rulers.measurement import RulerMeasurement
 from groundwalk.alignment.rulers.settings import DistanceRuler
 from groundwalk.consistency.decisions import SIGMAS, Status, decide, within
+from groundwalk.geometry.rulers import RulerFit
 from groundwalk.store.choices import CheckName, FailureCause, RulerPart
 from groundwalk.store.hints import setting_of
 from groundwalk.store.schemas import schema
@@ -56,7 +57,12 @@ def scale_by_rulers(vio: MapScale, rulers: Sequence[RulerMeasurement], max_size_
     its difference from VIO's scale, unless that is certainly within `max_size_error` (fraction): it may be printed at
     another size.
     """
-    fit = [r for r in rulers if r.ruler.use_for_scale and _is_fit_for_scale(vio, r, rulers, max_size_error)]
+    fit = []
+    for ruler in (r for r in rulers if r.ruler.use_for_scale and not r.problem):
+        error, sd = _against_vio(vio, ruler) if vio.is_known else (0.0, 0.0)
+        may_be_true = abs(error) <= _BOUND_SIGMAS * sd or bool(within(abs(error), sd, max_size_error))
+        if may_be_true and not ruler.fits[RulerPart.ALL].mirrored and not _contradicting(ruler, rulers):
+            fit.append(ruler)
     if not fit:
         return None
     part = RulerPart.FOR_SCALE
@@ -93,10 +99,18 @@ def describe(check: RulerCheck) -> str:
     measurement, scale, result = check.measurement, check.scale, check.result
     if not measurement.fits or scale is None:
         return f"ruler {result.reason}: {result.status}"
-    fit, is_held_out = measurement.fits[check.part], check.part is RulerPart.HELD_OUT
+    fit, vio, sd_percent = measurement.fits[check.part], check.vio_scale, 100 * _BOUND_SIGMAS * measurement.sd()
+    if vio is not None:
+        by_vio = (
+            f"VIO's scale {100 * np.expm1(vio.log - measurement.log_metres()):+.2f} % (95 % bounds: VIO's "
+            f"± {100 * _BOUND_SIGMAS * vio.sd:.2f} %, the ruler's ± {sd_percent:.2f} %)"
+        )
+    else:
+        why = "the map's scale is the reference's" if scale.reference else "VIO moves too little to give a scale"
+        by_vio = f"95 % bounds ± {sd_percent:.2f} %; {why}"
     text = (
-        f"ruler {measurement.ruler.name}: {len(fit.frames)} frames, {_corner_count(check, check.part)} corners"
-        f"{' held out' if is_held_out else ''}, views {np.degrees(fit.angle):.0f}° apart, {_by_vio(check, scale)}"
+        f"ruler {measurement.ruler.name}: {len(fit.frames)} frames, {_corners(fit)} corners"
+        f"{' held out' * (check.part is RulerPart.HELD_OUT)}, views {np.degrees(fit.angle):.0f}° apart, {by_vio}"
     )
     if scale.rulers or scale.reference:
         text += f"; map's scale {100 * np.expm1(scale.log - measurement.log_metres(check.part)):+.2f} %"
@@ -108,18 +122,6 @@ def describe(check: RulerCheck) -> str:
     elif measurement.ruler.use_for_scale:
         text += "; not used for scale"
     return "; ".join(filter(None, [f"{text}: {result.status}", result.reason, *measurement.notes]))
-
-
-def _by_vio(check: RulerCheck, scale: MapScale) -> str:
-    ruler_percent, vio = 100 * _BOUND_SIGMAS * check.measurement.sd(), check.vio_scale
-    if vio is None:
-        why = "the map's scale is the reference's" if scale.reference else "VIO moves too little to give a scale"
-        return f"95 % bounds ± {ruler_percent:.2f} %; {why}"
-    error_percent = 100 * np.expm1(vio.log - check.measurement.log_metres())
-    return (
-        f"VIO's scale {error_percent:+.2f} % (95 % bounds: VIO's ± {100 * _BOUND_SIGMAS * vio.sd:.2f} %, the ruler's "
-        f"± {ruler_percent:.2f} %)"
-    )
 
 
 def _check(
@@ -142,7 +144,9 @@ def _check(
     sd = float(np.hypot(scale.sd, measurement.fits[part].sd if is_held_out else measurement.sd(part)))
     error = float(np.expm1(scale.log - measurement.log_metres(part)))
     fault = _fault(scale, measurement, rulers)
-    reason = fault or "; ".join(filter(None, [_size_fault(scale, measurement, part, error, sd), remark]))
+    by = f"ruler {', '.join(scale.rulers)}" if scale.rulers else "the reference" if scale.reference else "VIO"
+    size = f"in the map scaled by {by} {_measured('its', scale, measurement, part)} ({error:+.1%} ± {sd:.1%})"
+    reason = fault or "; ".join(filter(None, [size, remark]))
     result = evaluate(
         CheckName.RULER_SCALE,
         Subject(len(measurement.fits[part].frames), component=component.index),
@@ -159,17 +163,6 @@ def _undecided(measurement: RulerMeasurement, component: int | None, problem: st
     subject, reason = Subject(measurement.frames, component=component), f"{measurement.ruler.name}: {problem}"
     failure = Failure(cause=FailureCause.RULER_INCONSISTENT, reason=reason)
     return evaluate(CheckName.RULER_SCALE, subject, Quantity(), 0.0, failure, Status.UNDECIDED)
-
-
-def _is_fit_for_scale(
-    vio: MapScale, measurement: RulerMeasurement, rulers: Sequence[RulerMeasurement], max_size_error: float
-) -> bool:
-    if measurement.problem or measurement.fits[RulerPart.ALL].mirrored or _contradicting(measurement, rulers):
-        return False
-    if not vio.is_known:
-        return True
-    error, sd = _against_vio(vio, measurement)
-    return abs(error) <= _BOUND_SIGMAS * sd or bool(within(abs(error), sd, max_size_error))
 
 
 def _against_vio(vio: MapScale, measurement: RulerMeasurement) -> tuple[float, float]:
@@ -233,13 +226,8 @@ def _measured(whose: str, scale: MapScale, measurement: RulerMeasurement, part: 
     return f"{whose} {ruler.size_name} {verb} {size:.4g} mm, {ruler.size_mm:g} mm stated"
 
 
-def _size_fault(scale: MapScale, measurement: RulerMeasurement, part: RulerPart, error: float, sd: float) -> str:
-    by = f"ruler {', '.join(scale.rulers)}" if scale.rulers else "the reference" if scale.reference else "VIO"
-    return f"in the map scaled by {by} {_measured('its', scale, measurement, part)} ({error:+.1%} ± {sd:.1%})"
-
-
-def _corner_count(check: RulerCheck, part: RulerPart) -> int:
-    return int(np.isfinite(check.measurement.fits[part].xyz).all(axis=1).sum())
+def _corners(fit: RulerFit) -> int:
+    return int(np.isfinite(fit.xyz).all(axis=1).sum())
 
 
 def _rows(check: RulerCheck) -> list[dict[str, object]]:
@@ -262,7 +250,7 @@ def _rows(check: RulerCheck) -> list[dict[str, object]]:
         | {
             "part": part,
             "frames": len(fit.frames),
-            "corners": _corner_count(check, part),
+            "corners": _corners(fit),
             "outliers": int((~fit.inlier).sum()),
             "measured_mm": measurement.size_mm(metres_per_unit, part),
             "scale_error_percent": 100 * float(np.expm1(log - measurement.log_metres(part))),

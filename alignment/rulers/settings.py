@@ -1,7 +1,8 @@
 """Settings of rulers: the `[[ruler]]` tables of a scene's file."""
 
+from collections.abc import Callable
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -11,6 +12,7 @@ from groundwalk.store.settings import validated
 if TYPE_CHECKING:
     import cv2
 
+S = TypeVar("S", bound=Settings)
 APRILTAG = "DICT_APRILTAG_36H11"
 
 
@@ -138,11 +140,7 @@ class DistanceRuler(RulerSettings):
 
 
 Ruler = CharucoRuler | AprilTagRuler | DistanceRuler
-_KINDS: dict[str, type[Ruler]] = {
-    "charuco": CharucoRuler,
-    "apriltag": AprilTagRuler,
-    "distance": DistanceRuler,
-}
+_KINDS: dict[str, type[Ruler]] = {"charuco": CharucoRuler, "apriltag": AprilTagRuler, "distance": DistanceRuler}
 
 
 def dictionary(name: str) -> "cv2.aruco.Dictionary":
@@ -152,49 +150,47 @@ def dictionary(name: str) -> "cv2.aruco.Dictionary":
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
+def named(tables: Any, what: str, key: str, make: Callable[[dict[str, Any], str], S]) -> list[S]:
+    """The `[[key]]` tables of a scene's file as settings, which have a `name` each, all different: `make` is given a
+    table and where it is. UserError says which one is wrong and how; `what` they are called."""
+    if not isinstance(tables, list) or not all(isinstance(table, dict | Settings) for table in tables):
+        raise UserError(f"{what} are a list of tables", found=tables, expected=f"[[{key}]] ...")
+    made: list[Any] = []
+    for number, table in enumerate(tables, start=1):
+        where = f"[[{key}]] number {number}"
+        one = table if isinstance(table, Settings) else make(table, where)
+        if one.name in (other.name for other in made):
+            raise UserError(f"two {what} are named {one.name!r}", where=where, do="give each another name")
+        made.append(one)
+    return made
+
+
 def rulers_of(tables: Any) -> list[Ruler]:
-    """The `[[ruler]]` tables as settings, each with a name; UserError says which one is wrong and how."""
-    if not isinstance(tables, list) or not all(isinstance(table, dict | Ruler) for table in tables):
-        raise UserError("rulers are a list of tables", found=tables, expected="[[ruler]] ...")
-    rulers = [_ruler(table, index) for index, table in enumerate(tables, start=1)]
-    names = [ruler.name for ruler in rulers]
-    for index, ruler in enumerate(rulers):
-        if ruler.name in names[:index]:
+    """The `[[ruler]]` tables as settings, each with a name."""
+    rulers = named(tables, "rulers", "ruler", _ruler)
+    seen: dict[str, str] = {}
+    for number, ruler in enumerate(rulers, start=1):
+        if isinstance(ruler, DistanceRuler):
+            continue
+        # DICT_6X6_50 is the beginning of DICT_6X6_250.
+        family = ruler.dictionary.rsplit("_", 1)[0] if ruler.dictionary[5].isdigit() else ruler.dictionary
+        if family in seen:
             raise UserError(
-                f"two rulers are named {ruler.name!r}",
-                where=_where(index + 1),
-                do="give each [[ruler]] another name",
-            )
-    boards = [(ruler.name, ruler.dictionary) for ruler in rulers if not isinstance(ruler, DistanceRuler)]
-    for index, (name, markers) in enumerate(boards):
-        same = [other for other, other_markers in boards[:index] if _family(other_markers) == _family(markers)]
-        if same:
-            raise UserError(
-                f"rulers {same[0]!r} and {name!r} have markers of the same dictionary",
-                where=_where(names.index(name) + 1),
-                found=markers,
+                f"rulers {seen[family]!r} and {ruler.name!r} have markers of the same dictionary",
+                where=f"[[ruler]] number {number}",
+                found=ruler.dictionary,
                 do="print one of them with another dictionary",
             )
+        seen[family] = ruler.name
     return rulers
 
 
-def _ruler(table: dict[str, Any] | Ruler, number: int) -> Ruler:
-    if isinstance(table, Ruler):
-        return table
+def _ruler(table: dict[str, Any], where: str) -> Ruler:
     kind = table.get("kind")
     if kind not in _KINDS:
         raise UserError(
             "a ruler needs a kind" if kind is None else f"unknown kind of ruler {kind!r}",
-            where=_where(number),
+            where=where,
             expected=f"kind = one of {', '.join(_KINDS)}",
         )
-    return validated(_KINDS[kind], {**table, "name": table.get("name") or kind}, _where(number))
-
-
-def _where(number: int) -> str:
-    return f"[[ruler]] number {number}"
-
-
-def _family(name: str) -> str:
-    """DICT_6X6_50 is the beginning of DICT_6X6_250."""
-    return name.rsplit("_", 1)[0] if name[5].isdigit() else name
+    return validated(_KINDS[kind], {**table, "name": table.get("name") or kind}, where)

@@ -8,7 +8,7 @@ from evo.core import metrics as evo_metrics
 from evo.core.trajectory import PosePath3D
 from scipy.spatial.transform import Rotation
 
-from groundwalk.alignment.drift import DriftSamples, distance_pairs, drift_table, measure_drift, second_pairs
+from groundwalk.alignment.drift import DriftSamples, drift_table, measure_drift
 from groundwalk.geometry.poses import make_pose, yaw_rotation
 from groundwalk.scoring.errors import rpe_roe
 
@@ -98,14 +98,6 @@ def test_known_drifts_have_their_size() -> None:
     found = measure_drift((seconds * 1e9).astype(np.int64), gt, bent)
     assert values(found, "yaw_rate", "deg/min") == pytest.approx(3, abs=1e-6)
     assert values(found, "paper_roe", "deg", "s").mean() <= 0.05 + 1e-9
-
-
-def test_pairs_by_time_and_distance() -> None:
-    first, last = second_pairs(np.array([0, 400, 900, 1300, 1900, 5000, 6600]) * 10**6)
-    assert list(zip(first.tolist(), last.tolist(), strict=True)) == [(0, 2), (1, 3), (2, 4), (3, 4)]
-    first, last, metres = distance_pairs(np.array([[0.0, 0, 0], [3, 0, 0], [3, 3, 0], [0, 3, 0]]), 5.0)
-    assert metres.tolist() == [6, 6]
-    assert list(zip(first.tolist(), last.tolist(), strict=True)) == [(0, 2), (1, 3)]
 
 
 def test_the_table_pools_sessions_and_counts_samples(paths: Paths) -> None:

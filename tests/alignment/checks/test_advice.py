@@ -18,7 +18,7 @@ from groundwalk.consistency.decisions import Status
 from groundwalk.store.choices import CheckName
 from groundwalk.store.hints import ANY_SCENE
 from groundwalk.store.tables import poses_of
-from tests.alignment.checks.test_checks import NOISE, mirror, of_walk, shuffle
+from tests.alignment.checks.test_checks import NOISE, of_walk, shuffle
 from tests.known import there
 from tests.synthetic_walks import Scene, Walks
 
@@ -134,15 +134,6 @@ def test_evidence_that_is_advised_decides(walks: Walks, name: CheckName) -> None
     before = undecided()
     assert before and all(c.advice == advice for c in before)
     assert not undecided(**follow)
-
-
-def test_a_mirrored_session_is_to_be_written_unmirrored(walks: Walks) -> None:
-    scene = walks.make(**NOISE)
-    mirror(scene, of_walk(scene, 1), 0)
-    (check, *_) = failures(run(scene))
-    assert check.advice.startswith("write the images as the camera sees them, not mirrored")
-    mirror(scene, of_walk(scene, 1), 0)
-    assert not failures(run(scene))
 
 
 def test_a_run_that_is_refused_goes_through_with_the_share_that_it_names(walks: Walks) -> None:

@@ -136,13 +136,12 @@ AXES = "camera y and z axes have the other sign"
 ROBOT = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # x forward, y left, z up
 
 
-@pytest.mark.parametrize("scale", [0.02, 1.0, 1000.0])
 @pytest.mark.parametrize(
-    ("mistake", "said"),
+    ("scale", "mistake", "said"),
     [
-        (lambda pose: pose @ np.diag([1.0, -1, -1, 1]), AXES),
-        (inverse, "poses are world to camera, in OpenCV's axes"),
-        (lambda pose: pose @ make_pose(ROBOT.T, [0, 0, 0]), "turned alike, by 120.0 degrees"),
+        (0.02, lambda pose: pose @ np.diag([1.0, -1, -1, 1]), AXES),
+        (1.0, inverse, "poses are world to camera, in OpenCV's axes"),
+        (1000.0, lambda pose: pose @ make_pose(ROBOT.T, [0, 0, 0]), "turned alike, by 120.0 degrees"),
     ],
     ids=["axes", "inverse", "robot"],
 )
