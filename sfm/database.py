@@ -1,8 +1,10 @@
-"""COLMAP's database of a scene: a camera for each frame, and the results of extraction and matching."""
+"""Where COLMAP works: links to the images, and its database of a scene, with a camera for each frame and the results of
+extraction and matching."""
 
 import contextlib
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -13,8 +15,24 @@ import pycolmap
 from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.store.child import Task, in_child
+from groundwalk.store.hints import setting_of
 
 Ints = NDArray[np.int64]
+_MEMORY_HINT = f"too little memory needs a smaller max_features or {setting_of('sfm', 'max_image_size')}"
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """`images` holds a link to the image of each of N frames, by its name; `scratch` is for checkpoints."""
+
+    images: Path
+    names: Sequence[str]
+    scratch: Path
+
+    def in_child(self, text: str, task: Task) -> Any:
+        """The result of a task in a child process: an error on one of COLMAP's threads aborts the one it runs in."""
+        return in_child(text, self.scratch / "colmap.log", _MEMORY_HINT, task)
 
 
 def image_names(frames: pd.DataFrame) -> list[str]:
@@ -154,9 +172,5 @@ def read_pair_results(path: Path, pairs: Ints) -> tuple[Ints, Ints]:
         match_counts = dict(zip(ids, matches, strict=True))
         ids, inliers = database.read_two_view_geometry_num_inliers()
         inlier_counts = dict(zip(ids, inliers, strict=True))
-    ids = _pair_ids(pairs)
+    ids = [pycolmap.image_pair_to_pair_id(image_id(a), image_id(b)) for a, b in pairs.tolist()]
     return np.array([match_counts.get(i, 0) for i in ids], int), np.array([inlier_counts.get(i, 0) for i in ids], int)
-
-
-def _pair_ids(pairs: Ints) -> list[int]:
-    return [pycolmap.image_pair_to_pair_id(image_id(int(a)), image_id(int(b))) for a, b in pairs]

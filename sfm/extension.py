@@ -16,6 +16,7 @@ from scipy.sparse import csr_array
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log, known_lens
 from groundwalk.sfm.cameras.motion import motion_by_vio
+from groundwalk.sfm.database import Workspace
 from groundwalk.sfm.mapping.attempts import MIN_CONSISTENT, MIN_REGISTERED, Attempt
 from groundwalk.sfm.mapping.built import BuiltModel, selected_models
 from groundwalk.sfm.model import Model
@@ -23,7 +24,6 @@ from groundwalk.sfm.pairs.matched import are_verified, rows_of
 from groundwalk.sfm.pairs.odometry import Odometry
 from groundwalk.sfm.scene_input import calibrated_cameras, with_focal_lengths
 from groundwalk.sfm.settings import SfmSettings
-from groundwalk.sfm.workspace import Workspace
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.schemas import stage_tables
 from groundwalk.store.tables import read_table

@@ -71,10 +71,7 @@ INCREMENTAL = MapperEntry(
     run=Lazy("groundwalk.sfm.mapping.mappers:incremental"),
 )
 GLOBAL = MapperEntry(
-    id="global",
-    label="global",
-    meaning="COLMAP's global mapping",
-    run=Lazy("groundwalk.sfm.mapping.mappers:global_"),
+    id="global", label="global", meaning="COLMAP's global mapping", run=Lazy("groundwalk.sfm.mapping.mappers:global_")
 )
 HIERARCHICAL = MapperEntry(
     id="hierarchical",

@@ -8,17 +8,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from groundwalk.sfm.cameras.calibration import (
-    Calibration,
-    CalibrationImages,
-    calibrate,
-    with_lenses,
-    write_calibrated_database,
-)
+from groundwalk.sfm.cameras.calibration import Calibration, calibrate, with_lenses, write_calibrated_database
 from groundwalk.sfm.cameras.focal_lengths import ESTIMATED_SD, estimate_focal_lengths, sample_unstated
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log
 from groundwalk.sfm.cameras.motion import motion_by_vio
 from groundwalk.sfm.database import (
+    Workspace,
     copy_features,
     copy_matches,
     create_database,
@@ -32,7 +27,6 @@ from groundwalk.sfm.pairs.features import extract_features, features_name
 from groundwalk.sfm.pairs.odometry import Odometry, odometry
 from groundwalk.sfm.pairs.selection import pairs_of_untimed, pairs_within_sessions
 from groundwalk.sfm.settings import SfmSettings
-from groundwalk.sfm.workspace import Workspace
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.child import Task
 from groundwalk.store.choices import AttemptName, Tracking
@@ -157,9 +151,8 @@ def calibrated_cameras(
             proposals = pairs_within_sessions(r.settings, frames, vio)
             untimed = pairs_of_untimed(r.settings, frames, vio, database, r.seed)
             pairs = unique_pairs(np.concatenate([untimed, *(pairs for _, pairs in proposals)]))
-            images = CalibrationImages(database, frames, work.names, cameras.motion)
-            arguments = (images, pairs, cameras.calibration, r.settings, r.seed, path)
-            work.in_child("calibrating lenses", Task(calibrate, arguments))
+            arguments = (database, frames, cameras.motion, pairs, cameras.calibration, r.seed)
+            work.in_child("calibrating lenses", Task(calibrate, arguments)).save(path)
     calibration = Calibration.load(path)
     frames = with_lenses(frames, calibration)
     motion = motion_by_vio(frames, log, jumps, calibration.time_offset_s[calibration.lens])

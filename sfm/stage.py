@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from groundwalk.geometry.poses import Array
+from groundwalk.sfm import messages, scene_input, tables
 from groundwalk.sfm.cameras.adjustment import Adjusted, Ints
 from groundwalk.sfm.cameras.calibration import with_lenses
 from groundwalk.sfm.cameras.model_adjustment import cameras_of_frames, load_adjusted
@@ -15,50 +16,18 @@ from groundwalk.sfm.mapping.build import build_models
 from groundwalk.sfm.mapping.built import BuiltModel, read_built, selected_models
 from groundwalk.sfm.mapping.extending import extend_models
 from groundwalk.sfm.mapping.held_out import VerifiedPairs, held_out_check, read_matches
-from groundwalk.sfm.messages import (
-    report_attempts,
-    report_cameras,
-    report_coherence,
-    report_excluded_pairs,
-    report_models,
-    report_motion,
-)
 from groundwalk.sfm.model import load_models
+from groundwalk.sfm.pairs import verification
 from groundwalk.sfm.pairs.floor import FloorSource
 from groundwalk.sfm.pairs.matched import are_verified, checkpoint, rows_of
 from groundwalk.sfm.pairs.odometry import Odometry, motions_over
 from groundwalk.sfm.pairs.selection import pairs_by_images, pairs_within_sessions
-from groundwalk.sfm.pairs.verification import (
-    compared_with_neighbours,
-    compared_with_vio,
-    match_proposals,
-    with_floor_matches,
-    with_guided_matches,
-)
 from groundwalk.sfm.plugins import MappingInput
 from groundwalk.sfm.quality.covariance import Covariances, covariances
 from groundwalk.sfm.quality.focal_steps import with_focal_steps
 from groundwalk.sfm.quality.model_check import check_models
 from groundwalk.sfm.recording import write_recording
-from groundwalk.sfm.scene_input import (
-    calibrated_cameras,
-    calibrated_features,
-    extracted_features,
-    keep_features,
-    kept_settings,
-    linked_images,
-    odometry_of,
-    with_focal_lengths,
-)
 from groundwalk.sfm.settings import SfmSettings
-from groundwalk.sfm.tables import (
-    attempts_table,
-    camera_tables,
-    images_table,
-    models_table,
-    pairs_table,
-    points_table,
-)
 from groundwalk.store import StageRun
 from groundwalk.store.child import Task, preload
 from groundwalk.store.choices import AttemptName, PoseSource
@@ -83,21 +52,21 @@ def run(r: StageRun[SfmSettings]) -> None:
     frames, sessions = r.read("import", "frames"), r.read("import", "sessions")
     held = HeldArtefact.of(r.before, frames) if r.before is not None and r.holds else None
     is_new = np.ones(len(frames), bool) if held is None else held.is_new
-    work = linked_images(r, frames)
+    work = scene_input.linked_images(r, frames)
     pose_source = frames["session_id"].map(sessions.set_index("session_id")["pose_source"])
     is_alone = (pose_source == PoseSource.NONE).to_numpy(bool)
-    vio = odometry_of(frames, r.read("import", "jumps"), sessions)
+    vio = scene_input.odometry_of(frames, r.read("import", "jumps"), sessions)
     if held is None:
-        frames = with_focal_lengths(r, frames, work)
-        cameras = calibrated_cameras(r, frames, sessions, vio, work)
+        frames = scene_input.with_focal_lengths(r, frames, work)
+        cameras = scene_input.calibrated_cameras(r, frames, sessions, vio, work)
     else:
         frames, cameras = held.cameras(r, frames, sessions, vio, work)
     frames = with_lenses(frames, cameras.calibration)
 
     def attempt(number: int, name: AttemptName, settings: SfmSettings) -> Attempt:
         """Make models with these settings and check them against VIO; what an earlier, killed run did is reused."""
-        features = extracted_features(r, frames, work, settings)
-        database = calibrated_features(r, frames, cameras, work, settings)
+        features = scene_input.extracted_features(r, frames, work, settings)
+        database = scene_input.calibrated_features(r, frames, cameras, work, settings)
         with r.step("pairs"):
             proposals = pairs_within_sessions(settings, frames, vio)
             proposals += pairs_by_images(settings, vio, proposals, database, r.seed)
@@ -108,19 +77,22 @@ def run(r: StageRun[SfmSettings]) -> None:
             source = FloorSource(features, work.images, work.names, frames, cameras.calibration, cameras.motion)
             compared = checkpoint(
                 steps / "compared.parquet",
-                lambda: compared_with_vio(
-                    match_proposals(settings, vio, proposals, database, work, r.seed, is_new), vio, database
+                lambda: verification.compared_with_vio(
+                    verification.match_proposals(settings, vio, proposals, database, work, r.seed, is_new),
+                    vio,
+                    database,
                 ),
             )
             floor = checkpoint(
-                steps / "floor.parquet", lambda: with_floor_matches(compared, source, vio, database, work, r.say)
+                steps / "floor.parquet",
+                lambda: verification.with_floor_matches(compared, source, vio, database, work, r.say),
             )
             guided = checkpoint(
-                steps / "guided.parquet", lambda: with_guided_matches(floor, compared, vio, database, work)
+                steps / "guided.parquet", lambda: verification.with_guided_matches(floor, compared, vio, database, work)
             )
             matched = checkpoint(
                 steps / "neighbours.parquet",
-                lambda: compared_with_neighbours(guided, is_alone, vio, source, database, work, r.seed),
+                lambda: verification.compared_with_neighbours(guided, is_alone, vio, source, database, work, r.seed),
             )
         folder = work.scratch / f"mapping_{number}"
         with r.step("mapping"):
@@ -156,9 +128,9 @@ def run(r: StageRun[SfmSettings]) -> None:
     if held is None:
         attempts, best = run_attempts(r.settings, attempt, r.say)
     else:
-        attempts = [best := attempt(0, AttemptName.ADDED, kept_settings(r))]
+        attempts = [best := attempt(0, AttemptName.ADDED, scene_input.kept_settings(r))]
         refuse_misfit(best, is_new, frames)
-    report_attempts(r, attempts, best, len(frames))
+    messages.report_attempts(r, attempts, best, len(frames))
     assert best.model is not None  # otherwise that was an error
     model, selected = best.model, best.selected
     adjusted_models = [one for one in selected if (best.folder / f"{one.folder}.npz").is_file()]
@@ -172,33 +144,33 @@ def run(r: StageRun[SfmSettings]) -> None:
         held_out = held_out_check(read_matches(best.mapping_input), finished, model.sfm_T_cam, model.model)
 
     frame_ids = list(frames["frame_id"])
-    images = images_table(frame_ids, best, cameras, finished, held_out, covariance, motion_sd)
-    lenses, intrinsics = camera_tables(cameras, adjusted_models, adjusted, estimates)
-    tables = {
+    images = tables.images_table(frame_ids, best, cameras, finished, held_out, covariance, motion_sd)
+    lenses, intrinsics = tables.camera_tables(cameras, adjusted_models, adjusted, estimates)
+    written = {
         "images": images,
-        "models": models_table(best.built, held_out),
+        "models": tables.models_table(best.built, held_out),
         "lenses": lenses,
         "intrinsics": with_focal_steps(intrinsics, frames, images),
-        "attempts": attempts_table(attempts, best),
-        "pairs": pairs_table(frame_ids, best.matched),
-        "points": points_table(model, selected),
+        "attempts": tables.attempts_table(attempts, best),
+        "pairs": tables.pairs_table(frame_ids, best.matched),
+        "points": tables.points_table(model, selected),
     }
     known = held.tables if held is not None else {}
     if held is not None:
-        tables = held.with_rows(tables)
-    for name, table in tables.items():
+        written = held.with_rows(written)
+    for name, table in written.items():
         r.write(name, table)
     for one in selected:
         shutil.copytree(best.folder / one.folder, r.work / one.folder, dirs_exist_ok=True)
     with r.step("recording"):
-        write_recording(r, with_cameras(frames, tables["images"]), model, tables["pairs"])
-    keep_features(r, work, best.settings)
+        write_recording(r, with_cameras(frames, written["images"]), model, written["pairs"])
+    scene_input.keep_features(r, work, best.settings)
 
-    report_models(r, best, held_out, tables["images"]["not_registered"])
-    report_excluded_pairs(r, best.matched, vio)
-    of_new = {name: tables[name].iloc[len(known.get(name, ())) :] for name in ("lenses", "intrinsics")}
-    report_cameras(r, of_new["lenses"], of_new["intrinsics"], frames)
-    report_motion(r, frames, cameras.motion)
+    messages.report_models(r, best, held_out, written["images"]["not_registered"])
+    messages.report_excluded_pairs(r, best.matched, vio)
+    of_new = {name: written[name].iloc[len(known.get(name, ())) :] for name in ("lenses", "intrinsics")}
+    messages.report_cameras(r, of_new["lenses"], of_new["intrinsics"], frames)
+    messages.report_motion(r, frames, cameras.motion)
 
 
 def _covariances(
@@ -217,6 +189,6 @@ def _covariances(
             covariance[rows] = estimate.poses
             for ends in motions.T:
                 np.fmax.at(motion_sd, rows[ends], estimate.motions)
-            report_coherence(r, one, estimate)
+            messages.report_coherence(r, one, estimate)
         estimates.append(estimate)
     return estimates, covariance, motion_sd

@@ -233,7 +233,12 @@ def regular_system(
     w = np.sqrt(weight_M)[:, None]
     residual, by_point = w * linear.residual, w[:, :, None] * linear.by_point
     by_camera = w[:, :, None] * linear.by_camera
-    blocks, pull = _frame_sums(by_camera, residual, bundle.frame, frames)
+    # J^T J (N, 15, 15) and J^T r (N, 15) of each frame.
+    width, bounds = by_camera.shape[2], np.searchsorted(bundle.frame, np.arange(frames + 1))
+    blocks, pull = np.zeros((frames, width, width)), np.zeros((frames, width))
+    for k in range(frames):
+        jacobian = by_camera[bounds[k] : bounds[k + 1]].reshape(-1, width)
+        blocks[k], pull[k] = jacobian.T @ jacobian, jacobian.T @ residual[bounds[k] : bounds[k + 1]].ravel()
     # Nothing pulls at what is held; any information keeps it where it is.
     blocks[bundle.held_frames, :6, :6] = np.eye(6)
     point_blocks = summed(outer(by_point, by_point), bundle.point, points)
@@ -260,17 +265,6 @@ def regular_system(
     if len(bundle.held_points):
         return system
     return replace(system, gauge=_stiffness(system.diagonal(), bundle.sfm_T_cam[:, :3, 3]))
-
-
-def _frame_sums(by_camera: Array, residual: Array, frame_M: Ints, frames: int) -> tuple[Array, Array]:
-    """J^T J (N, 15, 15) and J^T r (N, 15) of each frame."""
-    width = by_camera.shape[2]
-    blocks, pull = np.zeros((frames, width, width)), np.zeros((frames, width))
-    bounds = np.searchsorted(frame_M, np.arange(frames + 1))
-    for k in range(frames):
-        jacobian = by_camera[bounds[k] : bounds[k + 1]].reshape(-1, width)
-        blocks[k], pull[k] = jacobian.T @ jacobian, jacobian.T @ residual[bounds[k] : bounds[k + 1]].ravel()
-    return blocks, pull
 
 
 def outer(a_M2k: Array, b_M2l: Array) -> Array:

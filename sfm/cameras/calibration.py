@@ -197,54 +197,36 @@ def distortion_lists(coefficients_N8: Array) -> list[list[float]]:
     return [row[: 8 if row[4:].any() else 4].tolist() for row in coefficients_N8]
 
 
-@dataclass(frozen=True)
-class CalibrationImages:
-    """What lenses are estimated from: a database with features, the frames table, its images' names in the database,
-    and how each moved."""
-
-    database: Path
-    frames: pd.DataFrame
-    names: Sequence[str]
-    motion: Motion
-
-
 @one_thread()
 def calibrate(
-    report: Report,
-    images: CalibrationImages,
-    pairs: Pairs,
-    prior: Calibration,
-    settings: SfmSettings,
-    seed: int,
-    output: Path,
-) -> None:
-    """Match some of the pairs (P, 2) of images, whose cameras in the database have the prior's lenses; write a
-    `Calibration`."""
+    report: Report, database: Path, frames: pd.DataFrame, motion: Motion, pairs: Pairs, prior: Calibration, seed: int
+) -> Calibration:
+    """The lenses by some of the pairs (P, 2) of frames, which are matched by their features in the database; its
+    cameras have the prior's lenses."""
     lens = prior.lens
     pairs = pairs[lens[pairs[:, 0]] == lens[pairs[:, 1]]]
     all_of_lens = [pairs[lens[pairs[:, 0]] == k] for k in range(len(prior.lenses))]
     of_lens = [of_one[evenly(len(of_one), _MAX_PAIRS)] for of_one in all_of_lens]
     sample = np.concatenate([np.empty((0, 2), np.int64), *of_lens])
-    match_pairs(report, images.database, sample, seed)
+    match_pairs(report, database, sample, seed)
     lenses = []
     for before, lens_pairs in zip(prior.lenses, of_lens, strict=True):
-        matches = read_pair_matches(images, lens_pairs, np.array(before.coefficients[2:]), seed)
-        if matches is not None:
-            before = estimated_lens(before, matches, images.frames, seed)
-        lenses.append(before)
-    replace(prior, lenses=lenses).save(output)
+        rng, stated_6 = np.random.default_rng(seed), np.array(before.coefficients[2:])
+        matches = _pair_matches(database, frames, motion, lens_pairs, stated_6, rng)
+        lenses.append(before if matches is None else estimated_lens(before, matches, frames, seed))
+    return replace(prior, lenses=lenses)
 
 
-def read_pair_matches(images: CalibrationImages, pairs: Pairs, stated_6: Array, seed: int) -> PairMatches | None:
+def _pair_matches(
+    database: Path, frames: pd.DataFrame, motion: Motion, pairs: Pairs, stated_6: Array, rng: np.random.Generator
+) -> PairMatches | None:
     """The verified matches of pairs (P, 2) of one lens, some of each; `stated_6` are its p1, p2, k3 to k6. None of too
     few pairs."""
-    frames, motion = images.frames, images.motion
     intrinsics = frames[["fx", "fy", "cx", "cy"]].to_numpy(float)
     line, session = lines_of(frames), frames["session_id"].to_numpy(str)
     centre = frames[["vio_cam_tx", "vio_cam_ty", "vio_cam_tz"]].to_numpy(float)
-    rng = np.random.default_rng(seed)
     poses, twists, ends, points, rows = [], [], [], [], []
-    with pycolmap.Database.open(images.database) as opened:
+    with pycolmap.Database.open(database) as opened:
         for a, b in pairs.tolist():
             geometry = opened.read_two_view_geometry(image_id(a), image_id(b))
             matches = geometry.inlier_matches
@@ -297,7 +279,10 @@ def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, seed
         is_better = _is_better(checked, at_prior, at_weak)
         denied = _distortion_is_denied(prior, weak, matches.stated_6, frames.iloc[matches.frames[0, 0]])
         wrong, undecided = denied and is_better, denied and not is_better
-        readout_is_wrong = _readout_is_denied(prior, weak) and bool(np.median(at_weak) < np.median(at_prior))
+        if prior.stated_readout_s is not None:
+            limit_s = max(_MIN_WRONG_SIGMAS * np.sqrt(weak.covariance[2, 2]), _MIN_WRONG_READOUT_S)
+            is_denied = abs(weak.parameters[2] - prior.stated_readout_s) > limit_s
+            readout_is_wrong = bool(is_denied and np.median(at_weak) < np.median(at_prior))
         if readout_is_wrong or undecided or (wrong and not is_held):
             covariance, k3_sd = np.array(prior.prior_covariance), prior.prior_k3_sd
             if undecided:
@@ -368,14 +353,6 @@ def _distortion_is_denied(prior: Lens, weak: LensEstimate, stated_6: Array, fram
     return bool(sigmas > _MIN_WRONG_SIGMAS and shift_px > _MIN_WRONG_PX and is_possible)
 
 
-def _readout_is_denied(prior: Lens, weak: LensEstimate) -> bool:
-    """The same of a stated readout time."""
-    if prior.stated_readout_s is None:
-        return False
-    limit_s = max(_MIN_WRONG_SIGMAS * np.sqrt(weak.covariance[2, 2]), _MIN_WRONG_READOUT_S)
-    return bool(abs(weak.parameters[2] - prior.stated_readout_s) > limit_s)
-
-
 def lines_of(frames: pd.DataFrame) -> Array:
     """(N, 3) when each frame's pixels are exposed (`groundwalk.geometry.shutter`)."""
     return readout_lines(frames["first_row"], frames["width"], frames["height"])
@@ -397,12 +374,7 @@ def to_middle_row(xy_M2: Array, frame: Any, line: Array, readout_s: float, angul
 
 
 def write_calibrated_database(
-    source: Path,
-    target: Path,
-    frames: pd.DataFrame,
-    names: Sequence[str],
-    calibration: Calibration,
-    motion: Motion,
+    source: Path, target: Path, frames: pd.DataFrame, names: Sequence[str], calibration: Calibration, motion: Motion
 ) -> None:
     """Write the database `target`: features of `source`, keypoints at the middle row's time, cameras with lenses."""
     partial = target.with_name(target.name + ".partial")

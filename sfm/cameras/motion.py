@@ -37,11 +37,17 @@ def motion_by_vio(
     the motion of a hand between two logged poses isn't known better.
     """
     offset_ns = np.round(1e9 * np.asarray(time_offset_s)).astype(np.int64)
-    rates = _rates(frames.assign(t_ns=frames["t_ns"] - offset_ns), log, jumps)
+    rates = Rates(*(np.full((len(frames), 3), np.nan) for _ in range(3)))
+    session_N, t_ns = frames["session_id"].to_numpy(str), frames["t_ns"].to_numpy(np.int64) - offset_ns
+    for session, poses in log.groupby("session_id"):
+        rows, poses = np.flatnonzero(session_N == session), poses.sort_values("t_ns")
+        log_t_ns, jump_t_ns = (t["t_ns"].to_numpy(np.int64) for t in (poses, jumps[jumps["session_id"] == session]))
+        of_session = rates_at(t_ns[rows], log_t_ns, poses_of(poses, "vio_cam"), MAX_GAP_S, jump_t_ns)
+        rates.angular[rows], rates.velocity[rows] = of_session.angular, of_session.velocity
+        rates.angular_difference[rows] = of_session.angular_difference
     has_rate = ~np.isnan(rates.angular[:, 0])
     has_difference = ~np.isnan(rates.angular_difference[:, 0])
     sd = np.full(len(frames), UNKNOWN_ANGULAR_SD)
-    session_N = frames["session_id"].to_numpy(str)
     for session in np.unique(session_N[has_difference]):
         members = (session_N == session) & has_rate
         scatter = float(np.sqrt(np.mean(rates.angular_difference[members & has_difference] ** 2)))
@@ -49,16 +55,3 @@ def motion_by_vio(
         sd[members & ~has_difference] *= 2
     angular, velocity = (np.where(has_rate[:, None], rate, 0.0) for rate in (rates.angular, rates.velocity))
     return Motion(angular, sd, velocity, has_rate)
-
-
-def _rates(frames: pd.DataFrame, log: pd.DataFrame, jumps: pd.DataFrame) -> Rates:
-    """Rates of N frames from all poses of the log, NaN where none is near enough."""
-    rates = Rates(*(np.full((len(frames), 3), np.nan) for _ in range(3)))
-    session_N, t_ns = frames["session_id"].to_numpy(str), frames["t_ns"].to_numpy(np.int64)
-    for session, poses in log.groupby("session_id"):
-        rows, poses = np.flatnonzero(session_N == session), poses.sort_values("t_ns")
-        log_t_ns, jump_t_ns = (t["t_ns"].to_numpy(np.int64) for t in (poses, jumps[jumps["session_id"] == session]))
-        of_session = rates_at(t_ns[rows], log_t_ns, poses_of(poses, "vio_cam"), MAX_GAP_S, jump_t_ns)
-        rates.angular[rows], rates.velocity[rows] = of_session.angular, of_session.velocity
-        rates.angular_difference[rows] = of_session.angular_difference
-    return rates

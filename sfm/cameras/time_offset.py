@@ -5,7 +5,7 @@ relative rotation differs from that of the images by exp(w_a dt) in front and ex
 velocities w. A constant rotation of the camera against VIO's, or slow drift, doesn't look like that.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.robust import CAUCHY_WIDTH, cauchy_weights
 from groundwalk.sfm.cameras.lens_from_pairs import LensEstimate, PairMatches, sampson_of
-from groundwalk.sfm.database import Ints
 
 _STEPS = 10
 _MIN_PAIRS, _BLOCKS = 10, 15
@@ -23,34 +22,13 @@ _MIN_SD_RAD = 1e-4
 _PRIOR_SD_S = 0.03
 
 
-@dataclass(frozen=True)
-class _Turns:
-    """Rotations of pairs a_R_b (P, 3, 3) by images and by VIO, and both frames' angular velocities (P, 3)."""
-
-    by_images: Array
-    by_vio: Array
-    angular_a: Array
-    angular_b: Array
-
-    def without(self, pairs: Ints) -> "_Turns":
-        """Those of the other pairs."""
-        return _Turns(*(np.delete(part, pairs, axis=0) for part in vars(self).values()))
-
-
-@dataclass(frozen=True)
-class TimeOffset:
-    """Time stamp minus time of the middle row, s, its standard error, and the median Sampson distance of held-out
-    pairs, px, with VIO's rotations at the time stamps and at this offset from them."""
+class TimeOffset(NamedTuple):
+    """Time stamp minus time of the middle row, s, its standard error, and whether held-out pairs agree better with
+    VIO's rotations at this offset from the time stamps than at these."""
 
     offset_s: float
     sd_s: float
-    held_out_stamp_px: float
-    held_out_px: float
-
-    @property
-    def accepted(self) -> bool:
-        """Held-out pairs agree better with the offset than without."""
-        return self.held_out_px < self.held_out_stamp_px
+    accepted: bool
 
 
 def estimate_time_offset(
@@ -69,27 +47,28 @@ def estimate_time_offset(
     if used.sum() < _MIN_PAIRS or not checked.any():
         return None
     angular = matches.twist[:, :, :3]
-    turns = _Turns(fitted.a_T_b[used, :3, :3], vio_a_R_b[used], angular[used, 0], angular[used, 1])
-    offset, prior_variance = _offset_of(turns)
+    turns = fitted.a_T_b[used, :3, :3], vio_a_R_b[used], angular[used, 0], angular[used, 1]
+    offset, prior_variance = _offset_of(*turns)
     in_time = np.argsort(matches.frames[used].sum(axis=1), kind="stable")
     left_out = np.array_split(in_time, min(_BLOCKS, len(in_time)))
-    without = np.array([_offset_of(turns.without(block))[0] for block in left_out])
+    without = np.array([_offset_of(*(np.delete(part, block, axis=0) for part in turns))[0] for block in left_out])
     variance = (len(without) - 1) * without.var()
     errors = []
     for at in (0.0, offset):
         a_T_b = fitted.a_T_b[checked]
         a_T_b[:, :3, :3] = rotations_at(vio_a_R_b[checked], angular[checked, 0], angular[checked, 1], at)
         errors.append(float(np.median(np.abs(sampson_of(matches.of_pairs(checked), a_T_b, fitted.parameters)))))
-    return TimeOffset(offset, float(np.sqrt(variance + prior_variance)), *errors)
+    return TimeOffset(offset, float(np.sqrt(variance + prior_variance)), errors[1] < errors[0])
 
 
-def _offset_of(turns: _Turns) -> tuple[float, float]:
-    """The offset, s, that fits the turns best, and the prior's part of its variance, s^2."""
-    slope = np.einsum("pji,pj->pi", turns.by_images, turns.angular_a) - turns.angular_b
+def _offset_of(by_images: Array, by_vio: Array, angular_a: Array, angular_b: Array) -> tuple[float, float]:
+    """The offset, s, that fits rotations of pairs a_R_b (P, 3, 3) by images and by VIO best, with both frames' angular
+    velocities (P, 3), and the prior's part of its variance, s^2."""
+    slope = np.einsum("pji,pj->pi", by_images, angular_a) - angular_b
     offset, information, prior, sd_rad = 0.0, 0.0, 0.0, 0.0
     for _ in range(_STEPS):
-        at_offset = rotations_at(turns.by_vio, turns.angular_a, turns.angular_b, offset)
-        difference = Rotation.from_matrix(np.swapaxes(turns.by_images, 1, 2) @ at_offset).as_rotvec()
+        at_offset = rotations_at(by_vio, angular_a, angular_b, offset)
+        difference = Rotation.from_matrix(np.swapaxes(by_images, 1, 2) @ at_offset).as_rotvec()
         # The median length of three normal components is 1.54 sigma.
         sd_rad = max(float(np.median(np.linalg.norm(difference, axis=1))) / 1.54, _MIN_SD_RAD)
         weight = cauchy_weights(difference, CAUCHY_WIDTH * sd_rad)

@@ -113,9 +113,7 @@ def more_features(settings: SfmSettings) -> dict[str, Any]:
 
 
 def run_attempts(
-    settings: SfmSettings,
-    attempt: Callable[[int, AttemptName, SfmSettings], Attempt],
-    report: Callable[[str], None],
+    settings: SfmSettings, attempt: Callable[[int, AttemptName, SfmSettings], Attempt], report: Callable[[str], None]
 ) -> tuple[list[Attempt], Attempt]:
     """All attempts until the outcome is good enough, and the best of them: by its outcome, then by its consistent
     frames, then the first. An error ends it where a model is there already, and is raised where none is.

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import pycolmap
+
 _FILE = "built.json"
 
 
@@ -27,6 +29,13 @@ class BuiltModel:
     @property
     def model_id(self) -> str:
         return f"{self.mapping}/{self.number}"
+
+    @staticmethod
+    def of(mapping: str, number: int, model: pycolmap.Reconstruction) -> "BuiltModel":
+        """The record of a model, which isn't selected."""
+        sizes = model.num_reg_images(), model.num_points3D(), model.compute_num_observations()
+        means = model.compute_mean_track_length(), model.compute_mean_reprojection_error()
+        return BuiltModel(mapping, number, *sizes, *means)
 
 
 def write_built(folder: Path, built: Sequence[BuiltModel]) -> None:

@@ -1,5 +1,6 @@
 """Frames of new walks registered into finished models, whose frames and points stay where they are."""
 
+import itertools
 import shutil
 from collections import Counter
 from collections.abc import Sequence
@@ -9,19 +10,12 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from groundwalk.sfm.cameras.model_adjustment import (
-    CameraLog,
-    Held,
-    adjust_model,
-    cameras_of_frames,
-    save_adjusted,
-)
-from groundwalk.sfm.database import image_id, image_names, pose_of, read_keypoints
-from groundwalk.sfm.mapping.build import described
+from groundwalk.sfm.cameras.model_adjustment import CameraLog, Held, save_adjusted
+from groundwalk.sfm.database import image_names, read_keypoints
 from groundwalk.sfm.mapping.built import BuiltModel, write_built
-from groundwalk.sfm.mapping.held_out import VerifiedPairs, held_out_check, read_matches, write_mapping_input
+from groundwalk.sfm.mapping.held_out import VerifiedPairs, read_matches, write_mapping_input
 from groundwalk.sfm.mapping.mappers import continued
-from groundwalk.sfm.mapping.misplaced import misplaced_frames
+from groundwalk.sfm.mapping.misplaced import adjust_without_misplaced
 from groundwalk.sfm.model import renumbered
 from groundwalk.sfm.plugins import MappingInput
 from groundwalk.sfm.settings import SfmSettings
@@ -49,44 +43,28 @@ def extend_models(
     frames = verified.frames
     write_mapping_input(verified, source.database, source.seed)
     matches, keypoints = read_matches(source.database), read_keypoints(verified.features, len(frames))
-    built, taken, registered = [], set[int](), 0
-
-    def found() -> None:
-        nonlocal registered
-        registered += 1
-        report(registered)
-
+    built, taken, registered = [], set[int](), itertools.count(1)
     for number, one in enumerate(finished[1]):
         model = renumbered(finished[0] / one.folder, image_names(frames))
         held = Held(frozenset(model.reg_frame_ids()), frozenset(model.points3D))
-        # Without a pair there is nothing to add.
-        mapped = continued(source, model, work / f"continued_{number}", found, held=True) if len(verified.pairs) else []
+        mapped: list[pycolmap.Reconstruction] = []
+        if len(verified.pairs):  # without one there is nothing to add
+            folder = work / f"continued_{number}"
+            mapped = continued(source, model, folder, lambda: report(next(registered)), held=True)
         added = set(mapped[0].reg_frame_ids()) - held.frames - taken if mapped else set[int]()
         misplaced: list[int] = []
         if added:
             _attach(model, mapped[0], sorted(added))
-            adjusted, rows = adjust_model(model, keypoints, log, settings, held)
-            model_N, sfm_T_cam = np.full(len(keypoints), -1), np.full((len(keypoints), 4, 4), np.nan)
-            for row in (i - 1 for i in model.reg_image_ids()):
-                model_N[row], sfm_T_cam[row] = 0, pose_of(model.image(image_id(row)))
-            cameras = cameras_of_frames(log, [(adjusted, rows)])
-            check = held_out_check(matches, cameras, sfm_T_cam, model_N)
-            misplaced = [row for row in misplaced_frames(check) if image_id(row) in added]
-            for row in misplaced:
-                model.deregister_frame(image_id(row))
+            adjusted, rows, misplaced = adjust_without_misplaced(model, matches, keypoints, log, settings, held)
             added = set(model.reg_frame_ids()) - held.frames
         if added:
-            if misplaced:
-                adjusted, rows = adjust_model(model, keypoints, log, settings, held)
-                added = set(model.reg_frame_ids()) - held.frames
             save_adjusted(work / f"{one.folder}.npz", adjusted, rows)
             taken |= added
             for i in sorted(added):
                 model.extract_colors_for_image(i, source.images)
         (work / one.folder).mkdir()
         model.write_binary(work / one.folder)
-        size = described(one.mapping, one.number, model)
-        built.append(replace(size, misplaced=misplaced, folder=one.folder))
+        built.append(replace(BuiltModel.of(one.mapping, one.number, model), misplaced=misplaced, folder=one.folder))
     write_built(work, built)
     shutil.rmtree(output, ignore_errors=True)
     work.rename(output)

@@ -87,7 +87,12 @@ def pipeline_options(source: MappingInput) -> pycolmap.IncrementalPipelineOption
     options.ba_global_max_num_iterations = 2
     options.ba_local_max_refinements = 1
     options.ba_local_max_num_iterations = 10
-    options.mapper.init_max_error = _first_pair_px(source.database)
+    # What a match of the first pair may be off by, in pixels. Two poses explain the matches of a facade within COLMAP's
+    # 4 px, and of these RANSAC takes either: a model that begins with the wrong one folds, however good all other
+    # matches are. Within a pixel one of them remains.
+    with pycolmap.Database.open(source.database) as opened:
+        longest = max(max(camera.width, camera.height) for camera in opened.read_all_cameras())
+    options.mapper.init_max_error = max(1.0, _EXPLAINED_FRACTION * longest)
     # People walk forward. A first pair still needs rays that meet at a wide enough angle.
     options.mapper.init_max_forward_motion = 1.0
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
@@ -96,17 +101,6 @@ def pipeline_options(source: MappingInput) -> pycolmap.IncrementalPipelineOption
     # mapper has no such option, and registers nothing with them.
     options.max_extra_param = options.mapper.max_extra_param = _ANY_COEFFICIENT
     return options
-
-
-def _first_pair_px(database: Path) -> float:
-    """What a match of the first pair may be off by, in pixels, by its poses.
-
-    Two poses explain the matches of a facade within COLMAP's 4 px, and of these RANSAC takes either: a model that
-    begins with the wrong one folds, however good all other matches are. Within a pixel one of them remains.
-    """
-    with pycolmap.Database.open(database) as opened:
-        longest = max(max(camera.width, camera.height) for camera in opened.read_all_cameras())
-    return max(1.0, _EXPLAINED_FRACTION * longest)
 
 
 def _listed(models: dict[int, pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:

@@ -8,10 +8,40 @@ of its matches is far above that of the other pairs. In sound models hardly a pa
 
 import numpy as np
 import pandas as pd
+import pycolmap
+
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.cameras.adjustment import Adjusted
+from groundwalk.sfm.cameras.model_adjustment import CameraLog, Held, adjust_model, cameras_of_frames
+from groundwalk.sfm.database import Ints, image_id, pose_of
+from groundwalk.sfm.mapping.held_out import Matches, held_out_check
+from groundwalk.sfm.settings import SfmSettings
 
 _MAX_VIOLATED = 0.3  # of a frame's matches, those in violated pairs
 # Above both limits a pair is violated: in medians of all pairs, and in pixels, as exact matches have errors of 0.
 _TYPICAL_ERRORS, _MIN_VIOLATION_PX = 4.0, 0.25
+
+
+def adjust_without_misplaced(
+    model: pycolmap.Reconstruction,
+    matches: Matches,
+    keypoints: list[Array],
+    log: CameraLog,
+    settings: SfmSettings,
+    held: Held,
+) -> tuple[Adjusted, Ints, list[int]]:
+    """`adjust_model`, again where frames that aren't held are misplaced: without these, whose rows come back, too."""
+    adjusted, rows = adjust_model(model, keypoints, log, settings, held)
+    model_N, sfm_T_cam = np.full(len(keypoints), -1), np.full((len(keypoints), 4, 4), np.nan)
+    for row in (i - 1 for i in model.reg_image_ids()):
+        model_N[row], sfm_T_cam[row] = 0, pose_of(model.image(image_id(row)))
+    check = held_out_check(matches, cameras_of_frames(log, [(adjusted, rows)]), sfm_T_cam, model_N)
+    misplaced = [row for row in misplaced_frames(check) if image_id(row) not in held.frames]
+    for row in misplaced:
+        model.deregister_frame(image_id(row))
+    if misplaced and set(model.reg_frame_ids()) != held.frames:
+        adjusted, rows = adjust_model(model, keypoints, log, settings, held)
+    return adjusted, rows, misplaced
 
 
 def misplaced_frames(check: pd.DataFrame) -> list[int]:

@@ -49,11 +49,7 @@ def broken_links(recording_N: ArrayLike, t_ns_N: ArrayLike, linked: Pairs) -> Pa
 
 
 def within_vio_limits(
-    pairs: Pairs,
-    session_N: ArrayLike,
-    vio_T_cam: Array,
-    max_distance_m: ArrayLike,
-    max_angle_deg: ArrayLike,
+    pairs: Pairs, session_N: ArrayLike, vio_T_cam: Array, max_distance_m: ArrayLike, max_angle_deg: ArrayLike
 ) -> NDArray[np.bool_]:
     """Whether the two frames of each pair can see the same thing as far as VIO knows, (P,).
 

@@ -23,7 +23,7 @@ from groundwalk.sfm.cameras.calibration import Calibration, lines_of, to_middle_
 from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.database import Ints, image_id
 from groundwalk.sfm.pairs.candidates import Pairs
-from groundwalk.sfm.pairs.nearest import mutual_matches
+from groundwalk.sfm.pairs.matching import mutual_matches
 from groundwalk.sfm.pairs.odometry import Odometry
 from groundwalk.sfm.pairs.two_views import MAX_ERROR_PX, fitted_near, start_by_vio
 from groundwalk.store.child import Report

@@ -7,15 +7,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.sfm.database import read_descriptors
-from groundwalk.sfm.pairs.candidates import (
-    Pairs,
-    sequence_pairs,
-    strongest_pairs,
-    transitive_pairs,
-    unique_pairs,
-    vio_pairs,
-    within_vio_limits,
-)
+from groundwalk.sfm.pairs import candidates
+from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.odometry import Odometry, drift_between
 from groundwalk.sfm.pairs.retrieval import retrieval_pairs
 from groundwalk.sfm.plugins import RETRIEVALS
@@ -29,7 +22,7 @@ Proposals = list[tuple[PairOrigin, Pairs]]
 _MAX_ANGLE_DEG = 60.0
 # Of as many frames without VIO all pairs are matched, some 20,000.
 _MAX_EXHAUSTIVE = 200
-_NO_PAIRS = unique_pairs([])
+_NO_PAIRS = candidates.unique_pairs([])
 
 
 def pairs_within_sessions(settings: SfmSettings, frames: pd.DataFrame, vio: Odometry) -> Proposals:
@@ -38,10 +31,10 @@ def pairs_within_sessions(settings: SfmSettings, frames: pd.DataFrame, vio: Odom
     density = len(frames) / max(int((~frames["support"]).sum()), 1)
     timed = np.flatnonzero(have_times(frames))
     recordings, t_ns = vio.recording[timed], vio.t_ns[timed]
-    following = timed[sequence_pairs(recordings, t_ns, round(density * settings.sequence_pairs))]
+    following = timed[candidates.sequence_pairs(recordings, t_ns, round(density * settings.sequence_pairs))]
     # The next frame is always tried: that is what ties a recording together where VIO jumped.
-    next_frame = timed[sequence_pairs(recordings, t_ns, 1)]
-    near = vio_pairs(
+    next_frame = timed[candidates.sequence_pairs(recordings, t_ns, 1)]
+    near = candidates.vio_pairs(
         vio.session,
         vio.vio_T_cam,
         frames[["fx", "fy", "cx", "cy"]].to_numpy(float),
@@ -50,7 +43,8 @@ def pairs_within_sessions(settings: SfmSettings, frames: pd.DataFrame, vio: Odom
         _MAX_ANGLE_DEG,
         round(density * settings.vio_pairs),
     )
-    in_sequence = unique_pairs(np.concatenate([next_frame, following[_may_overlap(settings, vio, following)]]))
+    following = following[_may_overlap(settings, vio, following)]
+    in_sequence = candidates.unique_pairs(np.concatenate([next_frame, following]))
     return [(PairOrigin.SEQUENCE, in_sequence), (PairOrigin.VIO, near)]
 
 
@@ -77,7 +71,7 @@ def pairs_of_untimed(settings: SfmSettings, frames: pd.DataFrame, vio: Odometry,
     """Pairs of similar images within recordings without times, whose frames have no neighbours by time."""
     untimed = np.flatnonzero(~have_times(frames))
     if not len(untimed):
-        return unique_pairs([])
+        return candidates.unique_pairs([])
     return _similar(_described(settings, len(frames), database, seed), vio.recording, untimed, settings)
 
 
@@ -111,13 +105,13 @@ def _similar(
 
 def pairs_of_chains(settings: SfmSettings, vio: Odometry, pairs: Pairs, inliers_P: NDArray[np.int64]) -> Pairs:
     """Pairs of frames that both match a third one, of those not tried yet: half as many as are tried for similarity."""
-    candidates, strength = transitive_pairs(pairs, inliers_P, len(vio.session))
-    may_overlap = _may_overlap(settings, vio, candidates)
-    return strongest_pairs(candidates[may_overlap], strength[may_overlap], settings.retrieval_pairs // 2)
+    chains, strength = candidates.transitive_pairs(pairs, inliers_P, len(vio.session))
+    may_overlap = _may_overlap(settings, vio, chains)
+    return candidates.strongest_pairs(chains[may_overlap], strength[may_overlap], settings.retrieval_pairs // 2)
 
 
 def _may_overlap(settings: SfmSettings, vio: Odometry, pairs: Pairs) -> NDArray[np.bool_]:
     """Whether the frames of each pair are near enough by VIO to see the same thing, its drift allowed for, (P,)."""
     drift_m, drift_rad = drift_between(vio, pairs)
     max_m, max_deg = settings.vio_max_distance_m + drift_m, _MAX_ANGLE_DEG + np.degrees(drift_rad)
-    return within_vio_limits(pairs, vio.session, vio.vio_T_cam, max_m, max_deg)
+    return candidates.within_vio_limits(pairs, vio.session, vio.vio_T_cam, max_m, max_deg)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from groundwalk.consistency.motions import MISTAKE_ADVICE, MISTAKE_REASONS, compare_motions
 from groundwalk.geometry.poses import relative
-from groundwalk.sfm.database import has_results, read_pair_results
+from groundwalk.sfm.database import Workspace, has_results, read_pair_results
 from groundwalk.sfm.mapping.held_out import VerifiedPairs
 from groundwalk.sfm.pairs.candidates import broken_links, first_origins
 from groundwalk.sfm.pairs.floor import FloorSource, match_floor
@@ -21,7 +21,6 @@ from groundwalk.sfm.pairs.selection import Proposals, pairs_of_chains
 from groundwalk.sfm.pairs.two_views import compare_pairs
 from groundwalk.sfm.plugins import MappingInput
 from groundwalk.sfm.settings import SfmSettings
-from groundwalk.sfm.workspace import Workspace
 from groundwalk.store import UserError
 from groundwalk.store.child import Task
 from groundwalk.store.choices import PairInconsistency, PairOrigin

@@ -1,7 +1,6 @@
 """Which attempts are made, which of them is selected, and where the floor is matched."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -123,12 +122,6 @@ def test_an_error_of_a_further_attempt_leaves_the_one_before_and_the_first_ones_
     ends_at = 0
     with pytest.raises(UserError):
         run_attempts(SfmSettings(), attempt, lines.append)
-
-
-def test_an_attempt_without_vio_says_nothing_of_it() -> None:
-    attempt = _attempt(SfmSettings(), AttemptName.DEFAULT, [100], 100)
-    assert "100% of them consistent with VIO" in str(attempt)
-    assert str(replace(attempt, has_vio=False)).endswith("models of 100 frames")
 
 
 def test_the_floor_is_matched_where_a_recording_would_break(monkeypatch: pytest.MonkeyPatch) -> None:

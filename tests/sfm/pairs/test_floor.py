@@ -16,8 +16,7 @@ from groundwalk.sfm.cameras.calibration import prior_lenses
 from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.database import create_database, image_id, read_pair_results
 from groundwalk.sfm.pairs.floor import FloorSource, floor_features, floor_matches, match_floor
-from groundwalk.sfm.pairs.matching import guide_pairs, match_pairs
-from groundwalk.sfm.pairs.nearest import mutual_matches
+from groundwalk.sfm.pairs.matching import guide_pairs, match_pairs, mutual_matches
 from groundwalk.sfm.pairs.odometry import odometry
 from groundwalk.sfm.settings import SfmSettings
 

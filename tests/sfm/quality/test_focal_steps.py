@@ -20,13 +20,6 @@ def test_a_zoom_is_found_at_its_frame(first: int, factor: float) -> None:
     assert step[1] == pytest.approx(factor, rel=0.01)
 
 
-def test_a_zoom_that_is_taken_back_is_found() -> None:
-    scale = _noise(30)
-    scale[10:16] *= 1.25
-    step = focal_step(scale)
-    assert step is not None and step[0] in (10, 16)
-
-
 @pytest.mark.parametrize("shape", ["noise", "breathing", "drift", "one frame", "short"])
 def test_what_is_no_zoom_is_no_step(shape: str) -> None:
     scale = _noise(4 if shape == "short" else 60)
