@@ -158,7 +158,7 @@ def named(tables: Any, what: str, key: str, make: Callable[[dict[str, Any], str]
     made: list[Any] = []
     for number, table in enumerate(tables, start=1):
         where = f"[[{key}]] number {number}"
-        one = table if isinstance(table, Settings) else make(table, where)
+        one: Any = table if isinstance(table, Settings) else make(table, where)
         if one.name in (other.name for other in made):
             raise UserError(f"two {what} are named {one.name!r}", where=where, do="give each another name")
         made.append(one)

@@ -112,13 +112,8 @@ def test_a_run_without_the_stage_says_so(boards: Boards, tmp_path: Path) -> None
         run.localise(boards.image(ROW), intrinsics=CAMERA)
 
 
-def locate(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "groundwalk", "locate", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True)
-
-
 def test_the_command_answers_an_image_and_a_folder_with_intrinsics_beside(
-    map_file: Path, boards: Boards, tmp_path: Path
+    map_file: Path, boards: Boards, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     picture = read_picture(boards.image(ROW))
     cv2.imwrite(str(tmp_path / "a.png"), picture)
@@ -134,9 +129,22 @@ def test_the_command_answers_an_image_and_a_folder_with_intrinsics_beside(
     (tmp_path / "text.png").write_text("no image")
     cv2.imwrite(str(tmp_path / "turned.png"), np.rot90(picture))
     options = ("--intrinsics", ",".join(map(str, NUMBERS)), "--gravity", "0,1,0", "--scene", "Boards")
-    alone = locate(boards.image(ROW), "--map", map_file, *options)
-    assert json.loads(alone.stdout)["inliers"] >= 10 and "1 of 1 images localised" in alone.stderr
-    done = locate(tmp_path, "--map", map_file, "--out", tmp_path / "said.jsonl")
+    with pytest.raises(SystemExit, match="0"):
+        app([str(boards.image(ROW)), "--map", str(map_file), *options])
+    alone = capsys.readouterr()
+    assert json.loads(alone.out)["inliers"] >= 10 and "1 of 1 images localised" in alone.err
+    command = [
+        sys.executable,
+        "-m",
+        "groundwalk",
+        "locate",
+        tmp_path,
+        "--map",
+        map_file,
+        "--out",
+        tmp_path / "said.jsonl",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     said = {row["image"]: row for row in map(json.loads, (tmp_path / "said.jsonl").read_text().splitlines())}
     assert list(said) == ["a.png", "black.png", "none.png", "small.png", "text.png", "turned.png", "wide.png"]
@@ -179,11 +187,15 @@ def test_a_query_says_which_side_is_read_out_first(boards: Boards, tmp_path: Pat
         file_query(image, {**CAMERA, "first_row": "down"})
 
 
-def test_a_folder_of_which_nothing_can_be_asked_is_an_error(map_file: Path, boards: Boards, tmp_path: Path) -> None:
+def test_a_folder_of_which_nothing_can_be_asked_is_an_error(
+    map_file: Path, boards: Boards, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "a.png").write_bytes(boards.image(ROW).read_bytes())
-    done = locate(tmp_path, "--map", map_file)
-    assert done.returncode == 2 and "no image of the folder can be asked" in done.stderr
-    assert json.loads(done.stdout)["refusal"] == "bad_input" and "no intrinsics" in done.stderr
+    with pytest.raises(SystemExit, match="2"):
+        app([str(tmp_path), "--map", str(map_file)])
+    said = capsys.readouterr()
+    assert "no image of the folder can be asked" in said.err and "no intrinsics" in said.err
+    assert json.loads(said.out)["refusal"] == "bad_input"
 
 
 def test_answers_replace_nothing_but_answers_and_need_a_place_first(

@@ -112,11 +112,6 @@ def test_calibration_asks_for_more_inliers_than_wrong_answers_had(built: Built, 
     assert calibrated(trials[:3]).min_inliers == 30
 
 
-def test_same_training_frames_give_the_same_bytes(built: Built, file: Path, tmp_path: Path) -> None:
-    write_map(tmp_path / "again.gwm", build_map(prepare("room", training(built[0], walk(15)), EXTRACTION), SETTINGS))
-    assert (tmp_path / "again.gwm").read_bytes() == file.read_bytes()
-
-
 def test_a_map_comes_back_as_it_was_written(built: Built, file: Path) -> None:
     content, written = read_map(file), built[2]
     assert len(content.xyz) == 900
