@@ -14,7 +14,7 @@ from groundwalk.store.files import sha256_of, write_json
 from groundwalk.store.schemas import schema, stage_tables
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.tables import pose_frame, read_table, write_table
-from tests.groundwalk.made_up_run import filled
+from tests.known import filled
 
 COUNT, WIDTH, HEIGHT, FOCAL = 18, 320, 240, 300.0
 TEST, VAL = np.arange(COUNT) % 5 == 2, np.arange(COUNT) == 8
