@@ -133,17 +133,8 @@ def test_the_command_answers_an_image_and_a_folder_with_intrinsics_beside(
         app([str(boards.image(ROW)), "--map", str(map_file), *options])
     alone = capsys.readouterr()
     assert json.loads(alone.out)["inliers"] >= 10 and "1 of 1 images localised" in alone.err
-    command = [
-        sys.executable,
-        "-m",
-        "groundwalk",
-        "locate",
-        tmp_path,
-        "--map",
-        map_file,
-        "--out",
-        tmp_path / "said.jsonl",
-    ]
+    out = tmp_path / "said.jsonl"
+    command = [sys.executable, "-m", "groundwalk", "locate", str(tmp_path), "--map", str(map_file), "--out", str(out)]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     said = {row["image"]: row for row in map(json.loads, (tmp_path / "said.jsonl").read_text().splitlines())}

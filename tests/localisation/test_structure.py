@@ -54,7 +54,8 @@ def test_a_wrong_observation_is_left_out_and_a_lonely_point_dropped() -> None:
     at = px[:, point].copy()
     at[2] += 25
     parts = (rays_of(views, view, at[view : view + 1]) for view in range(5))
-    every = Rays(*map(np.concatenate, zip(*parts, strict=True)), np.full(5, 480.0), np.arange(5))
+    origin, direction = map(np.concatenate, zip(*parts, strict=True))
+    every = Rays(origin, direction, np.full(5, 480.0), np.arange(5))
     points = triangulate(every, np.zeros(5, np.int64), np.arange(5), 2.0, 0.1)
     assert points.feature.tolist() == [0, 1, 3, 4]
     np.testing.assert_allclose(points.xyz, xyz[[point]], atol=1e-6)
