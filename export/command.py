@@ -10,7 +10,7 @@ from typing import Annotated
 import pandas as pd
 import typer
 
-from groundwalk.export.dataset import JPEG_QUALITY, Dataset, load_dataset, number
+from groundwalk.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number
 from groundwalk.export.exporters import EXPORTERS, MODEL_EXPORTERS
 from groundwalk.store import DataRoot, UserError, progress
 from groundwalk.store.cli import DataOption, ProfileOption
@@ -102,7 +102,7 @@ def export(
                 if not isinstance(placed, list) or len(placed) != len(dataset.frames):
                     returned = f"{len(placed)} paths" if isinstance(placed, list) else f"a {type(placed).__name__}"
                     raise ValueError(f"write returned {returned}, expected a list of {len(dataset.frames)} image paths")
-            _write_lists(dataset, placed, folder, about | {"images": images.value})
+            _write_lists(dataset, placed, folder, about, images.value)
             refuse_changed()
             if reads_images:
                 verify_images(root.captures(scene), root.run(profile, scene, "import"))
@@ -163,7 +163,7 @@ def _export_folder(out: Path, note: str, *, force: bool) -> Iterator[Path]:
         raise UserError("the export can't be written", where=where, found=error.strerror) from None
 
 
-def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[str, str]) -> None:
+def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[str, str], images: Images) -> None:
     """Write what the export is, and the list of all frames: exported ones with their images and these' cameras."""
     columns = ["frame_id", "session_id", "split", "t_ns", "clock", "quality", "reason"]
     frames = dataset.frames
@@ -174,6 +174,7 @@ def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[
     content = {
         **about,
         "simulated": dataset.simulated,
+        "images": images,
         "undistorted_images": dataset.undistorted,
         "jpeg_quality": JPEG_QUALITY if dataset.undistorted else None,
         "frames": len(frames),
