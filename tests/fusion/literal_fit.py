@@ -11,7 +11,7 @@ _DOF, _SIZE_COUNT, _AXIS_COUNT, _SIDE_TURN, _SIDE_TURN_COUNT = 3.0, 0.3, 10.0, 0
 _SHARED, _SHARED_SIZES, _SHARED_TURN = 0.9, 10.0, np.radians(45.0)
 
 
-def literal_fit(vio: Array, apr: Array, drift: Array, sizes: Array, tilt_sd: float, turns: int = 40) -> Array:
+def literal_fit(vio: Array, apr: Array, drift: Array, sizes: Array, tilt_sd: float, turns: int = 20) -> Array:
     """The last poses' alignment: (N, 4) map position and yaw at each frame.
 
     vio, apr: poses (N, 4, 4). drift: variances (N, 4) of x, y, z, yaw on the way to each frame. sizes (6,): assumed

@@ -55,7 +55,7 @@ def test_one_wild_answer_is_not_the_rule() -> None:
 def inside(alike_s: float) -> Array:
     """Share of positions and rotations within 95 % bounds, (2,), where predictions are wrong alike for so long."""
     within = []
-    for seed in range(8):
+    for seed in range(4):
         t_ns, truth, vio, _ = upright_walk(seed, frames=300)
         rng, error = np.random.default_rng(100 + seed), np.zeros((len(t_ns), 6))
         kept = np.exp(-1 / alike_s)
@@ -71,7 +71,7 @@ def inside(alike_s: float) -> Array:
 
 
 def test_bounds_hold_however_long_predictions_are_wrong_alike(monkeypatch: pytest.MonkeyPatch) -> None:
-    for alike_s in (1.0, 5.0, 10.0):  # 0.97, 0.94, 0.91 of the positions
+    for alike_s in (1.0, 10.0):  # 0.97, 0.91 of the positions
         assert (inside(alike_s) >= 0.85).all()
     with monkeypatch.context() as never:
         never.setattr(calibration, "_AGE_S", 1e9)

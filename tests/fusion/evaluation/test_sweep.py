@@ -16,7 +16,7 @@ from groundwalk.store.schemas import schema
 from groundwalk.store.tables import read_table
 from tests.fusion.tables import tables
 
-INPUTS = Inputs("Place", *tables([1, 2, 3, 4], ("PN", "MS-T")))
+INPUTS = Inputs("Place", *tables([1, 2], ("PN", "MS-T")))
 WALKS = {("Place", model): joined.walks for model, joined in joined_walks(INPUTS, ["test"])}
 
 

