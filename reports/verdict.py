@@ -165,9 +165,9 @@ def _frames(scene: SceneInputs) -> pd.DataFrame:
         vio_error=residuals["position_m"].to_numpy(float),
         vio_error_deg=residuals["rotation_deg"].to_numpy(float),
         true_error=np.nan,
-        travelled=0.0,
         **dict(zip("xyz", map_xyz.T, strict=True)),
         **dict(zip(("vio_x", "vio_y", "vio_z"), vio_xyz.T, strict=True)),
+        travelled=0.0,
     )
     raw_vio = poses_of(frames, "vio_cam")[:, :3, 3]
     walked = np.where(np.isnan(raw_vio), map_xyz, raw_vio)
