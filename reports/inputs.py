@@ -1,6 +1,7 @@
 """What the report reads of one scene, and the few facts about it that every table and page must say."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -126,10 +127,14 @@ class SceneInputs:
 
     def label(self, model: str) -> str:
         """The model as tables and pages print it."""
-        both = pd.concat([table[["model", "label"]] for table in (self.cards, self.localisers)])
-        return str(both.set_index("model")["label"].dropna().get(model, model))
+        return self._labels.get(model, model)
 
-    @property
+    @cached_property
+    def _labels(self) -> dict[str, str]:
+        both = pd.concat([table[["model", "label"]] for table in (self.cards, self.localisers)])
+        return dict(both.dropna().itertuples(index=False, name=None))
+
+    @cached_property
     def method_labels(self) -> dict[str, str]:
         """What stands behind the model's label for each method: nothing for the raw regressor."""
         labelled = zip(self.methods["method"], self.methods["label"], self.methods["fuses"], strict=True)

@@ -71,11 +71,13 @@ def arguments_of(folder: Path) -> list[str]:
 @pytest.mark.parametrize("name", HOSTILE)
 @pytest.mark.parametrize("goal", ["import", "all", "simulate", "clean", "bench-phone"])
 def test_names_reach_python_as_they_are(folder: Path, name: str, goal: str) -> None:
-    for variable in ("scene", "profile", "captures"):
-        done = make(folder, "scene=place", f"{variable}={name}", goal)
+    for variables in (["scene"], ["profile", "captures"]):
+        done = make(folder, "scene=place", *(f"{variable}={name}" for variable in variables), goal)
         assert done.returncode == 0, done.stderr
-        if variable != "captures" or goal in ("import", "all"):
-            assert arguments_of(folder)[arguments_of(folder).index(f"--{variable}") + 1] == name
+        given = arguments_of(folder)
+        for variable in variables:
+            if variable != "captures" or goal in ("import", "all"):
+                assert given[given.index(f"--{variable}") + 1] == name
         (folder / "arguments").unlink()
     assert not (folder / "f").exists()
 
@@ -103,10 +105,7 @@ def test_other_values_and_folders_are_no_commands(folder: Path, name: str) -> No
     if "/" not in name:
         (folder / "data" / "captures" / name).mkdir()
     assert make(folder, "help").returncode == 0
-    for goal, variable in (
-        ("bench-real", "captures"),
-        ("bench-phone", "roots"),
-    ):
+    for goal, variable in (("bench-real", "captures"), ("bench-phone", "roots")):
         assert make(folder, f"{variable}={name}", goal).returncode == 0
         assert arguments_of(folder)[-1] == name
     for goal, variable in (("view", "web"), ("bench-real", "stability")):

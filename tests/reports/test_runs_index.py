@@ -4,6 +4,8 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from groundwalk.reports.definition import STAGE
 from groundwalk.reports.runs_index import write_index
 from groundwalk.store.files import read_json, write_json
@@ -12,6 +14,7 @@ from groundwalk.store.stage import execute
 from tests.reports.made_up_scenes import rows_of
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_each_run_stands_with_its_state_and_figures(make_run: Callable[..., DataRoot], tmp_path: Path) -> None:
     write_index(DataRoot(tmp_path))
     assert not (tmp_path / "runs").exists()

@@ -13,7 +13,6 @@ import groundwalk
 from groundwalk.closing import closing_lines
 from groundwalk.fusion.evaluation.summary import summarise
 from groundwalk.geometry.poses import make_pose, yaw_rotation
-from groundwalk.reports import stage
 from groundwalk.reports.definition import STAGE
 from groundwalk.store.files import read_json, write_json
 from groundwalk.store.manifests import load_manifest
@@ -25,14 +24,8 @@ from tests.known import cells as values
 from tests.reports.made_up_scenes import page_of, rewrite, rows_of, table_of
 
 MakeRun = Callable[..., DataRoot]
+pytestmark = pytest.mark.usefixtures("no_figures")
 LATER = ("localise", "train", "fuse")
-
-
-@pytest.fixture(autouse=True)
-def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing takes most of a small report's time."""
-    parts: dict[str, list[object]] = {part: [] for part in ("drift", "training", "errors")}
-    monkeypatch.setattr(stage, "scene_figures", lambda scene, folder: parts)
 
 
 def judged(data: DataRoot, scene: str) -> tuple[str, dict]:
