@@ -1,51 +1,23 @@
 """A stage run is atomic, resumable, and repeated only when something that it depends on changed."""
 
 import json
+import multiprocessing
+import os
 import re
 import signal
-import subprocess
-import sys
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
 
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import DataRoot, Settings, Stage, StageRun, UserError, execute
+from groundwalk.store import stage as stage_module
 from groundwalk.store.hints import setting_of
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.tables import pose_frame
 from tests.store.places import place
-
-# The stage below stands in for any; it writes the one table that no real stage owns.
-PROGRAM = """
-import os, signal, sys
-from pathlib import Path
-from tests.store.test_stage_runs import STAGE, execute, DataRoot
-import groundwalk.store.stage as stage_module
-
-die_at = sys.argv[2]
-def die(place):
-    if place == die_at:
-        os.kill(os.getpid(), signal.SIGKILL)
-for name in ("output_hashes", "swap_in", "write_json"):
-    original = getattr(stage_module, name)
-    def wrapped(*args, _original=original, _name=name):
-        die("before " + _name)
-        result = _original(*args)
-        die("after " + _name)
-        return result
-    setattr(stage_module, name, wrapped)
-rename = Path.rename
-def dying_rename(self, target):
-    result = rename(self, target)
-    die("rename to " + Path(target).name)
-    return result
-Path.rename = dying_rename
-from tests.store import test_stage_runs
-test_stage_runs.DIE = die
-execute(STAGE, "place", "own", DataRoot(Path(sys.argv[1])), sys.argv[3:])
-"""
 
 
 class ExampleSettings(Settings):
@@ -53,8 +25,8 @@ class ExampleSettings(Settings):
     offset: float = 0.0
 
 
-def DIE(place: str) -> None:
-    """Where the child process of a test kills itself."""
+def reach(moment: str) -> None:
+    """Called where the process of a test may be killed."""
 
 
 def run_example(r: StageRun[ExampleSettings]) -> None:
@@ -64,16 +36,41 @@ def run_example(r: StageRun[ExampleSettings]) -> None:
             if i >= len(safe.read_text() if safe.exists() else ""):
                 with safe.open("a") as file:
                     file.write("x")
-                DIE(f"row {i}")
+                reach(f"row {i}")
     r.figure("rows counted here", r.settings.rows)
     frame = pd.DataFrame({"session_id": ["s"] * r.settings.rows, "t_ns": range(r.settings.rows)})
     positions = [[r.settings.offset + i, 0, 0] for i in range(r.settings.rows)]
     poses = make_pose([[1, 0, 0], [0, 1, 0], [0, 0, 1]], positions)
     r.write("true_poses", frame.join(pose_frame("map_cam", poses)))
-    DIE("table written")
+    reach("table written")
 
 
+# It stands in for any, and writes the one table that no real stage owns.
 STAGE = Stage("simulate", 1, ExampleSettings, (), run_example, "An example.", reads_captures=True)
+
+
+def killed_at(moment: str, root: Path) -> None:
+    """Runs the stage, and kills its process at a moment."""
+
+    def die(reached: str) -> None:
+        if reached == moment:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def write_json(*arguments: Any) -> None:
+        write(*arguments)
+        die("manifest written")
+
+    def rename_to(self: Path, target: Path) -> Path:
+        moved = rename(self, target)
+        die(f"rename to {target.name}")
+        return moved
+
+    write, rename = stage_module.write_json, Path.rename
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stage_module, "write_json", write_json)
+        patch.setattr(Path, "rename", rename_to)
+        patch.setattr(f"{__name__}.reach", die)
+        execute(STAGE, "place", "own", DataRoot(root), ["offset=1"])
 
 
 def table_bytes(folder: Path) -> bytes:
@@ -107,7 +104,7 @@ def test_second_run_does_nothing_and_a_change_runs_again(data: DataRoot, capsys:
 
 
 @pytest.mark.parametrize(
-    "moment", ["row 2", "table written", "after write_json", "rename to .simulate.old", "rename to simulate"]
+    "moment", ["row 2", "table written", "manifest written", "rename to .simulate.old", "rename to simulate"]
 )
 def test_killed_run_leaves_nothing_half_and_goes_on(data: DataRoot, tmp_path: Path, moment: str) -> None:
     untouched = place(tmp_path / "reference")
@@ -115,9 +112,12 @@ def test_killed_run_leaves_nothing_half_and_goes_on(data: DataRoot, tmp_path: Pa
     folder = execute(STAGE, "place", "own", data)
     old = table_bytes(folder)
 
-    command = [sys.executable, "-c", PROGRAM, str(data.root), moment, "offset=1"]
-    killed = subprocess.run(command, capture_output=True, text=True)
-    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    process = context.Process(target=killed_at, args=(moment, data.root))
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
     if (folder / "manifest.json").exists():
         assert table_bytes(folder) in (old, expected)
         assert json.loads((folder / "manifest.json").read_text())["outputs"]
