@@ -18,28 +18,28 @@ def run_command(artefact: Path) -> str:
     if artefact.parts[-4:-3] != ("runs",):
         return f"run the stage {artefact.name} where this run comes from, and copy it again"
     profile, scene, stage = artefact.parts[-3:]
-    data = artefact.parents[3]
-    if _make_knows(data):
-        return f"make scene={scene} profile={profile} {'all' if stage == 'report' else stage}"
-    return f"{groundwalk_command()} run --scene {scene} --profile {profile} --until {stage}{_data_option(data)}"
+    goal = "all" if stage == "report" else stage
+    return _command(artefact.parents[3], scene, profile, goal, "run", f" --until {stage}")
 
 
 def view_command(run: Path) -> str:
     """What opens a scene's recordings, those of data/runs/<profile>/<scene>."""
     profile, scene = run.parts[-2:]
-    data = run.parents[2]
-    if _make_knows(data):
-        return f"make scene={scene} profile={profile} view"
-    return f"{groundwalk_command()} view --scene {scene} --profile {profile}{_data_option(data)}"
+    return _command(run.parents[2], scene, profile, "view", "view")
 
 
 def link_command(captures: Path, profile: str) -> str:
     """What runs a scene on captures of the user's own, which become the folder data/captures/<scene>."""
-    scene, data = captures.name, captures.parents[1]
-    if _make_knows(data):
-        return f"make scene={scene} profile={profile} captures=<your folder> all"
-    arguments = f"--scene {scene} --profile {profile} --captures <your folder>{_data_option(data)}"
-    return f"{groundwalk_command()} run {arguments}"
+    goal, option = "captures=<your folder> all", " --captures <your folder>"
+    return _command(captures.parents[1], captures.name, profile, goal, "run", option)
+
+
+def _command(data: Path, scene: str, profile: str, goal: str, command: str, option: str = "") -> str:
+    """One of make where the Makefile is at hand, and is about this data folder; elsewhere one of groundwalk."""
+    if CHECKOUT is not None and Path.cwd() == CHECKOUT and data == CHECKOUT / "data":
+        return f"make scene={scene} profile={profile} {goal}"
+    elsewhere = "" if data == Path.cwd() / "data" else f" --data {shlex.quote(str(data))}"
+    return f"{groundwalk_command()} {command} --scene {scene} --profile {profile}{option}{elsewhere}"
 
 
 def setting_of(section: str, setting: str, file: str = _ANY_FILE) -> str:
@@ -58,18 +58,9 @@ def of_scene(advice: str, data: DataRoot, scene: str) -> str:
     return advice.replace(_ANY_FILE, scene_file(data, scene)).replace(ANY_SCENE, scene)
 
 
-def _make_knows(data: Path) -> bool:
-    """Whether the Makefile's targets are at hand, and are about this data folder."""
-    return CHECKOUT is not None and Path.cwd() == CHECKOUT and data == CHECKOUT / "data"
-
-
 def groundwalk_command() -> str:
     """The command `groundwalk`, with its folder where the shell wouldn't find it."""
     script = Path(sys.executable).with_name("groundwalk")
     if shutil.which("groundwalk"):
         return "groundwalk"
     return shlex.quote(str(script)) if script.exists() else f"{shlex.quote(sys.executable)} -P -m groundwalk"
-
-
-def _data_option(data: Path) -> str:
-    return "" if data == Path.cwd() / "data" else f" --data {shlex.quote(str(data))}"

@@ -6,14 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, TypeVar
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from groundwalk.store.text import printable
 
@@ -46,29 +39,17 @@ class Reporter:
         self.total = total
         self.done = 0
         self._start = self._last_line = time.monotonic()
-        self._bar: Progress | None = None
-        self._task = None
-        if console.is_terminal:
-            self._bar = Progress(
-                TextColumn("  {task.description}", markup=False),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeElapsedColumn(),
-                TextColumn("left"),
-                TimeRemainingColumn(),
-                console=console,
-                transient=True,
-            )
-            self._task = self._bar.add_task(self.text, total=total)
+        name, left = TextColumn("  {task.description}", markup=False), TextColumn("left")
+        columns = (name, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), left, TimeRemainingColumn())
+        self._bar = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._task = self._bar.add_task(self.text, total=total)
 
     def __enter__(self) -> "Reporter":
-        if self._bar:
-            self._bar.start()
+        self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._bar:
-            self._bar.stop()
+        self._bar.stop()
 
     def advance(self, by: int = 1, text: str | None = None) -> None:
         """Count `by` more items as done; `text` replaces the description."""
@@ -78,7 +59,7 @@ class Reporter:
         """Set the number of items that are done."""
         self.done = done
         self.text = printable(text or self.text)
-        if self._bar and self._task is not None:
+        if not self._bar.disable:
             self._bar.update(self._task, completed=done, description=self.text)
             return
         now = time.monotonic()
