@@ -5,7 +5,7 @@ finds one.
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib import import_module
@@ -125,10 +125,9 @@ def stage_tables(stage: str) -> list[TableSchema]:
     return found
 
 
-def all_tables() -> Iterable[TableSchema]:
+def all_tables() -> list[TableSchema]:
     """Every schema, in the order of the pipeline."""
-    for stage in _STAGES:
-        yield from stage_tables(stage)
+    return [table for stage in _STAGES for table in stage_tables(stage)]
 
 
 def schema(stage: str, table: str) -> TableSchema:
