@@ -250,7 +250,7 @@ def test_frames_that_sfm_is_not_sure_of_need_vios_word_unless_their_motions_are_
 
 def test_an_uncertain_frame_may_differ_from_vio_as_certain_ones_do(walks: Walks) -> None:
     """VIO drifts by 3 %, which the certain frames around show."""
-    scene = walks.make(frames=60, sfm_m=0.003, sfm_deg=0.02)
+    scene = walks.make(sessions=2, frames=60, sfm_m=0.003, sfm_deg=0.02)
     middle = [stretch(scene, 0)[30]]
     make_uncertain(scene, middle)
     assert run(scene).frames.has_ground_truth.all()
