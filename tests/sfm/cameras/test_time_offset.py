@@ -1,5 +1,7 @@
 """The offset of time stamps from turns: pairs of a phone that turns, with VIO that is a little off."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -76,3 +78,9 @@ def test_its_standard_error_is_honest(drift_sd: float) -> None:
 def test_a_phone_that_does_not_turn_tells_nothing_beyond_the_prior() -> None:
     found = _estimated(0.02, 1, still=True)
     assert found is not None and abs(found.offset_s) < 1e-6 and found.sd_s == pytest.approx(0.03, rel=0.01)
+
+
+def test_an_offset_that_held_out_matches_contradict_is_not_accepted() -> None:
+    found = _estimated(0.02, 1)
+    assert found is not None
+    assert not replace(found, held_out_px=found.held_out_stamp_px).accepted
