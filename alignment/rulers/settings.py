@@ -154,7 +154,7 @@ def named(tables: Any, what: str, key: str, make: Callable[[dict[str, Any], str]
     """The `[[key]]` tables of a scene's file as settings, which have a `name` each, all different: `make` is given a
     table and where it is. UserError says which one is wrong and how; `what` they are called."""
     if not isinstance(tables, list) or not all(isinstance(table, dict | Settings) for table in tables):
-        raise UserError(f"{what} are a list of tables", found=tables, expected=f"[[{key}]] ...")
+        raise UserError(f"{key}s are a list of tables", found=tables, expected=f"[[{key}]] ...")
     made: list[Any] = []
     for number, table in enumerate(tables, start=1):
         where = f"[[{key}]] number {number}"
