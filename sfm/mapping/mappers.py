@@ -16,9 +16,15 @@ _ANY_COEFFICIENT = 1e9
 def incremental(source: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
     """COLMAP's incremental mapping (Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016)."""
     options = pipeline_options(source)
-    return _listed(
-        pycolmap.incremental_mapping(source.database, source.images, folder, options, next_image_callback=registered)
-    )
+    # Where people hardly walked, no first pair is exact, as its rays meet at small angles: then COLMAP's own limit.
+    for limit_px in (options.mapper.init_max_error, pycolmap.IncrementalMapperOptions().init_max_error):
+        options.mapper.init_max_error = limit_px
+        models = pycolmap.incremental_mapping(
+            source.database, source.images, folder, options, next_image_callback=registered
+        )
+        if listed := _listed(models):
+            return listed
+    return []
 
 
 def continued(

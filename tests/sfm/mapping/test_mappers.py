@@ -20,6 +20,18 @@ def test_the_first_pair_is_held_to_a_pixel_or_a_thousandth_of_the_image(
     assert pipeline_options(given).mapper.init_max_error == pytest.approx(expected_px)
 
 
+def test_where_no_first_pair_is_so_exact_mapping_begins_within_colmaps_own_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given, limits = MappingInput(tmp_path / "database.db", tmp_path, 0), []
+    with pycolmap.Database.open(given.database) as database:
+        database.write_camera(pycolmap.Camera(model="PINHOLE", width=320, height=240, params=[300, 300, 1, 1]))
+    monkeypatch.setattr(
+        pycolmap, "incremental_mapping", lambda *a, **_: limits.append(a[3].mapper.init_max_error) or {}
+    )
+    assert incremental(given, tmp_path, lambda: None) == [] and limits == [1.0, 4.0]
+
+
 @pytest.mark.parametrize("mapper", [incremental, hierarchical])
 def test_a_fisheye_lens_is_mapped(tmp_path: Path, mapper: Mapper) -> None:
     lens = rational_of_fisheye([-0.03, 0.01, -0.005, 0.001], 1.05, 5e-5)
