@@ -51,14 +51,21 @@ def main(
 
 
 def _of_sequence(data: DataRoot, profile: str, scene: str) -> list[str]:
-    """What structure localisers say of the last part of a sequence by the rest of it."""
-    tables = {name: data.run(profile, scene, name) for name in ("import", "align", "localise")}
+    """What structure localisers, and regressors where they were trained, say of the last part of a sequence by the
+    rest of it."""
+    tables = {name: data.run(profile, scene, name) for name in ("import", "align", "localise", "train")}
+    if not (tables["train"] / MANIFEST).is_file():
+        del tables["train"]
     for folder in tables.values():
         load_verified(folder)
     frames = read_table(tables["import"] / "frames.parquet", schema("import", "frames"))
     truth = read_table(tables["align"] / "ground_truth.parquet", schema("align", "ground_truth")).set_index("frame_id")
     own = read_table(tables["import"] / "reference.parquet", schema("import", "reference")).set_index("frame_id")
-    predictions = read_table(tables["localise"] / "predictions.parquet", schema("localise", "predictions"))
+    predictions = pd.concat(
+        read_table(tables[stage] / "predictions.parquet", schema(stage, "predictions"))
+        for stage in ("localise", "train")
+        if stage in tables
+    )
     tested = predictions[predictions["split"] == "test"]
     rows = [
         ["localiser", "test frames", "refused", "against our ground truth, median", "worst", "against its own poses"]

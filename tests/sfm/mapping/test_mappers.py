@@ -1,6 +1,7 @@
 """COLMAP's ways of mapping, with our options."""
 
 from pathlib import Path
+from typing import Any
 
 import pycolmap
 import pytest
@@ -26,9 +27,12 @@ def test_where_no_first_pair_is_so_exact_mapping_begins_within_colmaps_own_limit
     given, limits = MappingInput(tmp_path / "database.db", tmp_path, 0), []
     with pycolmap.Database.open(given.database) as database:
         database.write_camera(pycolmap.Camera(model="PINHOLE", width=320, height=240, params=[300, 300, 1, 1]))
-    monkeypatch.setattr(
-        pycolmap, "incremental_mapping", lambda *a, **_: limits.append(a[3].mapper.init_max_error) or {}
-    )
+
+    def no_model(*arguments: Any, **_: Any) -> dict[int, pycolmap.Reconstruction]:
+        limits.append(arguments[3].mapper.init_max_error)
+        return {}
+
+    monkeypatch.setattr(pycolmap, "incremental_mapping", no_model)
     assert incremental(given, tmp_path, lambda: None) == [] and limits == [1.0, 4.0]
 
 
