@@ -34,7 +34,9 @@ published protocol."""
 def main(
     data: Annotated[Path, typer.Option(help="data root with runs of the data sets' scenes")] = Path("data"),
     profile: Annotated[str, typer.Option(help="profile of the runs")] = "paper",
-    sequence: Annotated[str, typer.Option(help="scene of a single sequence, split in time; run to localise")] = "",
+    sequence: Annotated[
+        str, typer.Option(help="scene of a single sequence, split in time; run to localise or train")
+    ] = "",
     sequence_profile: Annotated[str, typer.Option(help="profile of its run")] = "standard",
     out: Annotated[Path, typer.Option(help="folder for datasets.md")] = Path("docs/results"),
 ) -> None:
@@ -53,18 +55,17 @@ def main(
 def _of_sequence(data: DataRoot, profile: str, scene: str) -> list[str]:
     """What structure localisers, and regressors where they were trained, say of the last part of a sequence by the
     rest of it."""
-    tables = {name: data.run(profile, scene, name) for name in ("import", "align", "localise", "train")}
-    if not (tables["train"] / MANIFEST).is_file():
-        del tables["train"]
+    stages = ["import", "align", "localise"]
+    if (data.run(profile, scene, "train") / MANIFEST).is_file():
+        stages.append("train")
+    tables = {name: data.run(profile, scene, name) for name in stages}
     for folder in tables.values():
         load_verified(folder)
     frames = read_table(tables["import"] / "frames.parquet", schema("import", "frames"))
     truth = read_table(tables["align"] / "ground_truth.parquet", schema("align", "ground_truth")).set_index("frame_id")
     own = read_table(tables["import"] / "reference.parquet", schema("import", "reference")).set_index("frame_id")
     predictions = pd.concat(
-        read_table(tables[stage] / "predictions.parquet", schema(stage, "predictions"))
-        for stage in ("localise", "train")
-        if stage in tables
+        read_table(tables[stage] / "predictions.parquet", schema(stage, "predictions")) for stage in stages[2:]
     )
     tested = predictions[predictions["split"] == "test"]
     rows = [

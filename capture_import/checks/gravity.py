@@ -94,10 +94,11 @@ def starts_along_axes(sessions: Sequence[Session]) -> bool:
 
 def _by_accelerometer(sessions: Sequence[Session]) -> GravityCheck | None:
     """What the recording's accelerometer says; None where it logged none, or too little."""
-    log, poses = sessions[0].recording.accelerations, np.concatenate([session.poses for session in sessions])
-    if log is None:
-        return None
+    log = sessions[0].recording.accelerations
     t_ns = np.concatenate([session.t_ns for session in sessions])
+    if log is None or not len(t_ns):
+        return None
+    poses = np.concatenate([session.poses for session in sessions])
     during = (log.t_ns >= t_ns[0]) & (log.t_ns <= t_ns[-1])
     nearest = np.searchsorted((t_ns[1:] + t_ns[:-1]) // 2, log.t_ns[during])
     force = np.einsum("mij,mj->mi", poses[nearest, :3, :3], log.force_cam[during])
