@@ -1,7 +1,8 @@
 """Runs that resume from checkpoints, and start anew where those are damaged."""
 
+import contextlib
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from groundwalk.store import progress
@@ -29,7 +30,8 @@ def run_resumable(work: Path, key: str, title: str, force: bool, attempt: Callab
     progress.console.print(f"{title}{': resuming from its checkpoints' if resumed else ''}", style="bold")
     if resumed:
         try:
-            _once(work, attempt, again)
+            with _what_the_same_command_does(work, again):
+                attempt()
             return True
         except Exception as error:
             if not may_be_damage(error):
@@ -38,17 +40,19 @@ def run_resumable(work: Path, key: str, title: str, force: bool, attempt: Callab
                 f"{type(error).__name__}: {str(error).splitlines()[0][:200]}" if str(error) else type(error).__name__
             )
             progress.console.print(f"  the checkpoints are damaged ({cause}): dropped, starting anew")
-    shutil.rmtree(work, ignore_errors=True)
-    work.mkdir(parents=True)
-    write_json(work / KEY_FILE, {"key": key})
-    _once(work, attempt, again)
+    with _what_the_same_command_does(work, again):
+        shutil.rmtree(work, ignore_errors=True)
+        work.mkdir(parents=True)
+        write_json(work / KEY_FILE, {"key": key})
+        attempt()
     return False
 
 
-def _once(work: Path, attempt: Callable[[], None], again: str) -> None:
-    """The attempt; what ends it from outside says what the same command does then."""
+@contextlib.contextmanager
+def _what_the_same_command_does(work: Path, again: str) -> Iterator[None]:
+    """Said by what ends the block from outside."""
     try:
-        attempt()
+        yield
     except BaseException as error:
         if isinstance(error, Exception) and (caused_by_machine := as_user_error(error, work)):
             _add(again, caused_by_machine)
