@@ -102,7 +102,8 @@ def run(r: StageRun[SfmSettings]) -> None:
                 pairs = VerifiedPairs(frames=frames, pairs=verified, matched=database, features=features)
                 mapping_input = MappingInput(folder.with_suffix(".db"), work.images, r.seed)
                 arguments = (pairs, mapping_input, cameras, settings, folder)
-                task = Task(build_models, arguments, len(frames))
+                start_T_cam = vio.longest_session() if name is AttemptName.VIO_START else None
+                task = Task(build_models, (*arguments, start_T_cam), len(frames))
                 if held is not None:
                     task = Task(extend_models, ((held.folder, held.models), *arguments), int(is_new.sum()))
                 work.in_child("mapping", task)

@@ -75,7 +75,7 @@ class PairInconsistency(StrEnum):
     NEIGHBOURS = "points in the map of neighbours"
 
 
-AttemptName = StrEnum("AttemptName", "DEFAULT MORE_PAIRS STRICTER_PAIRS MORE_FEATURES ADDED")
+AttemptName = StrEnum("AttemptName", "DEFAULT MORE_PAIRS STRICTER_PAIRS MORE_FEATURES VIO_START ADDED")
 """What an attempt at SfM models changes."""
 
 AttemptOutcome = StrEnum("AttemptOutcome", "ACCEPTED NO_MODEL TOO_FEW_REGISTERED FRAMES_MISSING INCONSISTENT_WITH_VIO")

@@ -104,6 +104,8 @@ def next_step(attempts: list[Attempt]) -> tuple[AttemptName, dict[str, Any]] | N
         return AttemptName.STRICTER_PAIRS, {"vio_max_distance_m": settings.vio_max_distance_m / 2}
     if AttemptName.MORE_FEATURES not in tried:
         return AttemptName.MORE_FEATURES, more_features(settings)
+    if AttemptName.VIO_START not in tried and last.has_vio:
+        return AttemptName.VIO_START, {}
     return None
 
 

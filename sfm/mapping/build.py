@@ -8,11 +8,12 @@ from pathlib import Path
 import pycolmap
 from scipy.linalg import LinAlgError
 
+from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, Held, save_adjusted, with_lenses_of
 from groundwalk.sfm.database import read_keypoints
 from groundwalk.sfm.mapping.built import BuiltModel, write_built
 from groundwalk.sfm.mapping.held_out import VerifiedPairs, read_matches, write_mapping_input
-from groundwalk.sfm.mapping.mappers import continued
+from groundwalk.sfm.mapping.mappers import continued, from_poses
 from groundwalk.sfm.mapping.misplaced import adjust_without_misplaced
 from groundwalk.sfm.plugins import MAPPERS, MappingInput
 from groundwalk.sfm.settings import SfmSettings
@@ -27,23 +28,29 @@ Built = tuple[BuiltModel, pycolmap.Reconstruction]
 
 
 def build_models(
-    report: Report, verified: VerifiedPairs, source: MappingInput, log: CameraLog, settings: SfmSettings, output: Path
+    report: Report,
+    verified: VerifiedPairs,
+    source: MappingInput,
+    log: CameraLog,
+    settings: SfmSettings,
+    output: Path,
+    start_T_cam: Array | None = None,
 ) -> None:
     """Map verified pairs; `output` then holds what `read_built` reads and the folders that it names.
 
+    Mapping begins with a pair of images or, where they are given, with the poses `start_T_cam` (N, 4, 4; NaN for none).
     Where the largest of the models lacks images, a second mapping continues from it with fewer inliers needed to
-    register one, and a third one where that found some. The largest of all is selected, and of the others those that
-    have ten or more frames that no larger one has; a frame stays in the largest that has it. Each is adjusted once more
-    as a whole, with the cameras of phones and robustly: a few per cent of wrong observations would otherwise weigh more
-    than all right ones. Frames whose verified matches contradict their poses are taken out (module `misplaced`). A
-    model that its images don't determine isn't selected. The largest comes first, and its lenses are the prior of the
-    others'.
+    register one, and a third one where that found some. The largest of all is selected, and of the others those that have ten or
+    more frames that no larger one has; a frame stays in the largest that has it. Each is adjusted once more as a whole,
+    with the cameras of phones and robustly: a few per cent of wrong observations would otherwise weigh more than all
+    right ones. Frames whose verified matches contradict their poses are taken out (module `misplaced`). A model that
+    its images don't determine isn't selected. The largest comes first, and its lenses are the prior of the others'.
     """
     write_mapping_input(verified, source.database, source.seed)
     matches, keypoints = read_matches(source.database), read_keypoints(verified.features, len(verified.frames))
     work = output.with_name(output.name + ".partial")
     shutil.rmtree(work, ignore_errors=True)
-    built = _map(report, source, len(keypoints), settings.mapper, work)
+    built = _map(report, source, len(keypoints), settings.mapper, start_T_cam, work)
     assigned: set[int] = set()
     names = itertools.chain(["model"], (f"model_{number}" for number in itertools.count(2)))
     for index in sorted(range(len(built)), key=lambda i: _size(built[i]), reverse=True):
@@ -73,16 +80,22 @@ def build_models(
     work.rename(output)
 
 
-def _map(report: Report, source: MappingInput, frames: int, mapper: str, work: Path) -> list[Built]:
-    """All models of the mapper and, where the largest lacks images, of continuing from it."""
+def _map(
+    report: Report, source: MappingInput, frames: int, mapper: str, start_T_cam: Array | None, work: Path
+) -> list[Built]:
+    """All models of the mapper, or that of the poses that are given, and, where the largest lacks images, of continuing
+    from it."""
     registered = itertools.count(1)
 
     def report_one() -> None:
         report(min(next(registered), frames))
 
     (work / mapper).mkdir(parents=True)
-    with MAPPERS.guard(mapper):
-        models = MAPPERS.find(mapper).run(source, work / mapper, report_one)
+    if start_T_cam is not None:
+        mapper, models = "posed", [from_poses(source, start_T_cam, work / mapper)]
+    else:
+        with MAPPERS.guard(mapper):
+            models = MAPPERS.find(mapper).run(source, work / mapper, report_one)
     built = [(BuiltModel.of(mapper, number, model), model) for number, model in enumerate(models)]
     for number in range(_MAX_CONTINUED):
         largest = max(built, key=_size, default=None)

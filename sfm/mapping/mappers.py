@@ -3,14 +3,20 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pycolmap
 
+from groundwalk.geometry.poses import Array, inverse
+from groundwalk.sfm.database import image_id
 from groundwalk.sfm.plugins import MappingInput
 
 MIN_MODEL_FRAMES = 3
 _LEAF_IMAGES = 200
 _EXPLAINED_FRACTION = 0.001  # of an image's longer side
 _ANY_COEFFICIENT = 1e9
+# VIO's own errors over a few metres, seen from a few metres: first generous, then as strict as mapping is.
+_ROUNDS_PX = (16.0, 8.0, 4.0)
+_MIN_OBSERVATIONS = 30
 
 
 def incremental(source: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
@@ -49,6 +55,35 @@ def continued(
             source.database, source.images, folder, options, input_path=start, next_image_callback=registered
         )
     )
+
+
+def from_poses(source: MappingInput, start_T_cam: Array, folder: Path) -> pycolmap.Reconstruction:
+    """A model of the images that have a pose, start_T_cam (N, 4, 4; NaN for none): points triangulated by these poses
+    and all adjusted freely, in rounds, first with generous limits. The poses are the start alone."""
+    with pycolmap.Database.open(source.database) as opened:
+        cameras = {camera.camera_id: camera for camera in opened.read_all_cameras()}
+        images = {image.image_id: image for image in opened.read_all_images()}
+    model = pycolmap.Reconstruction()
+    for row in np.flatnonzero(np.isfinite(start_T_cam[:, 0, 0])).tolist():
+        of_image = images[image_id(row)]
+        if not model.exists_camera(of_image.camera_id):
+            model.add_camera_with_trivial_rig(cameras[of_image.camera_id])
+        image = pycolmap.Image(image_id=of_image.image_id, camera_id=of_image.camera_id, name=of_image.name)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(inverse(start_T_cam[row])[:3]))
+    options = pipeline_options(source)
+    adjustment = pycolmap.BundleAdjustmentOptions(print_summary=False)
+    adjustment.refine_focal_length = adjustment.refine_principal_point = adjustment.refine_extra_params = False
+    adjustment.ceres.solver_options.num_threads = 1
+    adjustment.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    for error_px in _ROUNDS_PX:
+        options.triangulation.complete_max_reproj_error = options.triangulation.merge_max_reproj_error = error_px
+        options.mapper.filter_max_reproj_error = error_px
+        model = pycolmap.triangulate_points(model, source.database, source.images, folder, options=options)
+        pycolmap.bundle_adjustment(model, adjustment)
+    for image in list(model.images.values()):
+        if image.num_points3D < _MIN_OBSERVATIONS:
+            model.deregister_frame(image.frame_id)
+    return model
 
 
 def global_(source: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:

@@ -52,6 +52,12 @@ class Odometry:
         """(N,) which frames have a pose by VIO; none of a public data set's has."""
         return np.asarray(np.isfinite(self.vio_T_cam[:, 0, 0]), bool)
 
+    def longest_session(self) -> Array:
+        """vio_T_cam (N, 4, 4) of the session that has most poses, NaN for all other frames."""
+        sessions, counts = np.unique(self.session[self.posed].astype(str), return_counts=True)
+        chosen = self.posed & (self.session == sessions[np.argmax(counts)])
+        return np.where(chosen[:, None, None], self.vio_T_cam, np.nan)
+
 
 def odometry(
     session_N: NDArray[np.object_],

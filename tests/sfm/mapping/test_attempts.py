@@ -76,8 +76,8 @@ def test_outcomes(sizes: list[int], consistent: int, outcome: AttemptOutcome) ->
     [
         ([(90, 90)], ["default"], 0),
         # Too few: more of everything; the one of most consistent frames.
-        ([(10, 10), (30, 30), (20, 20)], ["default", "more_pairs", "more_features"], 1),
-        ([(0, 0)], ["default", "more_pairs", "more_features"], 0),
+        ([(10, 10), (30, 30), (20, 20)], ["default", "more_pairs", "more_features", "vio_start"], 1),
+        ([(0, 0)], ["default", "more_pairs", "more_features", "vio_start"], 0),
         # Most of the frames: more pairs once, and what they made or what was there.
         ([(85, 85), (92, 92)], ["default", "more_pairs"], 1),
         ([(85, 85), (85, 85)], ["default", "more_pairs"], 0),
@@ -85,7 +85,8 @@ def test_outcomes(sizes: list[int], consistent: int, outcome: AttemptOutcome) ->
         # Inconsistent: stricter pairs; consistent ones go before larger ones that aren't.
         ([(90, 20), (95, 92)], ["default", "stricter_pairs"], 1),
         ([(100, 79), (85, 78)], ["default", "stricter_pairs"], 1),
-        ([(90, 20), (90, 30), (90, 10)], ["default", "stricter_pairs", "more_features"], 1),
+        ([(90, 20), (90, 30), (90, 10)], ["default", "stricter_pairs", "more_features", "vio_start"], 1),
+        ([(90, 20), (90, 30), (90, 10), (90, 90)], ["default", "stricter_pairs", "more_features", "vio_start"], 3),
         ([(90, 20), (20, 20), (90, 85)], ["default", "stricter_pairs", "more_pairs"], 2),
     ],
 )
@@ -96,11 +97,11 @@ def test_what_is_tried_and_selected(results: list[tuple[int, int]], names: list[
 
 
 def test_each_attempt_keeps_what_the_ones_before_changed() -> None:
-    before, more_pairs, more_features = (attempt.settings for attempt in _run([(10, 10)])[0])
+    before, more_pairs, more_features, _ = (attempt.settings for attempt in _run([(10, 10)])[0])
     for name in ("sequence_pairs", "vio_pairs", "retrieval_pairs"):
         assert getattr(before, name) < getattr(more_pairs, name) == getattr(more_features, name)
     assert before.max_features == more_pairs.max_features < more_features.max_features
-    _, stricter, _ = (attempt.settings for attempt in _run([(90, 20)])[0])
+    _, stricter, *_ = (attempt.settings for attempt in _run([(90, 20)])[0])
     assert stricter.vio_max_distance_m == before.vio_max_distance_m / 2
 
 

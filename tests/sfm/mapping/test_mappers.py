@@ -3,11 +3,14 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pycolmap
 import pytest
 
+from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.lens import rational_of_fisheye
-from groundwalk.sfm.mapping.mappers import hierarchical, incremental, pipeline_options
+from groundwalk.sfm.database import image_id, pose_of
+from groundwalk.sfm.mapping.mappers import from_poses, hierarchical, incremental, pipeline_options
 from groundwalk.sfm.plugins import Mapper, MappingInput
 
 
@@ -34,6 +37,23 @@ def test_where_no_first_pair_is_so_exact_mapping_begins_within_colmaps_own_limit
 
     monkeypatch.setattr(pycolmap, "incremental_mapping", no_model)
     assert incremental(given, tmp_path, lambda: None) == [] and limits == [1.0, 4.0]
+
+
+def test_poses_that_are_centimetres_off_are_a_start_that_images_correct(tmp_path: Path) -> None:
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 8, 300
+    given = MappingInput(tmp_path / "database.db", tmp_path, 0)
+    with pycolmap.Database.open(given.database) as database:
+        true = pycolmap.synthesize_dataset(options, database)
+    true_T_cam = np.stack([pose_of(true.image(image_id(row))) for row in range(8)])
+    start_T_cam = true_T_cam.copy()
+    start_T_cam[:, :3, 3] += np.random.default_rng(0).normal(0, 0.03, (8, 3))
+    start_T_cam[7] = np.nan
+    model = from_poses(given, start_T_cam, tmp_path)
+    assert model.num_reg_images() == 7 and model.compute_mean_reprojection_error() < 0.1
+    found_T_cam = np.stack([pose_of(model.image(image_id(row))) for row in range(7)])
+    fit = fit_sim3(true_T_cam[:7, :3, 3], found_T_cam[:, :3, 3])
+    assert np.abs(fit.points(found_T_cam[:, :3, 3]) - true_T_cam[:7, :3, 3]).max() < 1e-3
 
 
 @pytest.mark.parametrize("mapper", [incremental, hierarchical])
