@@ -40,10 +40,10 @@ def build_models(
 
     Mapping begins with a pair of images or, where they are given, with the poses `start_T_cam` (N, 4, 4; NaN for none).
     Where the largest of the models lacks images, a second mapping continues from it with fewer inliers needed to
-    register one, and a third one where that found some. The largest of all is selected, and of the others those that have ten or
-    more frames that no larger one has; a frame stays in the largest that has it. Each is adjusted once more as a whole,
-    with the cameras of phones and robustly: a few per cent of wrong observations would otherwise weigh more than all
-    right ones. Frames whose verified matches contradict their poses are taken out (module `misplaced`). A model that
+    register one, and a third one where that found some. The largest of all is selected, and of the others those that
+    have ten or more frames that no larger one has; a frame stays in the largest that has it. Each is adjusted once more
+    as a whole, with the cameras of phones and robustly: a few per cent of wrong observations would otherwise weigh more
+    than all right ones. Frames whose verified matches contradict their poses are taken out (module `misplaced`). A model that
     its images don't determine isn't selected. The largest comes first, and its lenses are the prior of the others'.
     """
     write_mapping_input(verified, source.database, source.seed)
