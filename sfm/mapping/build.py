@@ -43,8 +43,9 @@ def build_models(
     register one, and a third one where that found some. The largest of all is selected, and of the others those that
     have ten or more frames that no larger one has; a frame stays in the largest that has it. Each is adjusted once more
     as a whole, with the cameras of phones and robustly: a few per cent of wrong observations would otherwise weigh more
-    than all right ones. Frames whose verified matches contradict their poses are taken out (module `misplaced`). A model that
-    its images don't determine isn't selected. The largest comes first, and its lenses are the prior of the others'.
+    than all right ones. Frames whose verified matches contradict their poses are taken out (module `misplaced`). A
+    model that its images don't determine isn't selected. The largest comes first, and its lenses are the prior of the
+    others'.
     """
     write_mapping_input(verified, source.database, source.seed)
     matches, keypoints = read_matches(source.database), read_keypoints(verified.features, len(verified.frames))
