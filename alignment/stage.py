@@ -243,7 +243,7 @@ def _describe_fit(fit: SessionFit) -> str:
     if not len(fit.sim3.position_m):
         return text
     return (
-        f"{text}; after a Sim3 fit {1000 * _rms(fit.sim3.position_m):.1f} mm RMS, rotation median "
+        f"{text}; after a Sim3 fit {_rms(fit.sim3.position_m):.3f} m RMS, rotation median "
         f"{np.median(fit.sim3.rotation_deg):.2f}°"
     )
 

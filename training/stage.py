@@ -130,7 +130,7 @@ def choose_precision(
     if device.type == "cuda":
         has_units = torch.cuda.is_bf16_supported(including_emulation=False)
     else:
-        has_units = torch.cpu._is_amx_tile_supported()
+        has_units = torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported()
     return "bf16" if has_units and settings.training.bfloat16 else "fp32"
 
 

@@ -202,8 +202,8 @@ def report_lines(results: Results) -> list[str]:
             lines.append(f"warning: {scene}: {warning}; odometry, in metres, takes no part")
     lines += [f"warning: {n} {meaning}" for name, meaning in _WARNINGS.items() if (n := results.counts[name])]
     for row in summary[(summary["subset"] == "all") & (summary["scored"] == "method")].to_dict("records"):
-        position = f"{row['position_mean_m']:.2f} {units[row['scene']].symbol}"
-        error = f"{position}, {row['rotation_mean_deg']:.2f} deg" if row["answered"] else "no pose"
+        position = f"{row['position_mean_m']:.3g} {units[row['scene']].symbol}"
+        error = f"{position}, {row['rotation_mean_deg']:.3g} deg" if row["answered"] else "no pose"
         coverage = f"{row['coverage_pct']:.0f} % of {row['total']} frames"
         lines.append(f"{row['scene']} · {row['model']} · {row['method']}: mean error {error} over {coverage}")
     all_frames = summary[summary["subset"] == "all"]
