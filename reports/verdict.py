@@ -14,7 +14,7 @@ from groundwalk.reports.cells import LocaliserErrors
 from groundwalk.reports.grids import EMPTY
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.scoring.errors import SURE_CLASSES, within_bounds
-from groundwalk.store.choices import CheckName, DriftDefinition, MapUnit, QualityClass
+from groundwalk.store.choices import CheckName, DriftDefinition, MapUnit, NotRegistered, QualityClass
 from groundwalk.store.tables import have_times, poses_of
 from groundwalk.store.text import grouped_reasons
 
@@ -28,6 +28,19 @@ _OF_THE_MAP = (
     CheckName.REFERENCE_SCALE,
     CheckName.REFERENCE_VERTICAL,
 )
+
+_CLOSER = "frames closer together, things seen from further aside or nearer, a loop or a second walk there"
+_SHARPER = "walk and turn slower, with more light: sharp images of still things"
+FRAME_ADVICE = {
+    "position uncertain": _CLOSER,
+    "rotation uncertain": _CLOSER,
+    "few points seen": f"aim at things with texture; {_SHARPER}",
+    "reprojection": _SHARPER,
+    NotRegistered.NO_VERIFIED_PAIRS: f"overlap with other frames: {_CLOSER}",
+    NotRegistered.NOT_MAPPED: f"overlap with other frames: {_CLOSER}",
+    NotRegistered.MISPLACED: "look at the image: a look-alike place? More frames on the way to it tell the two apart",
+}
+"""By words of a frame's reason: what to do in another capture."""
 
 
 class State(StrEnum):
@@ -203,8 +216,13 @@ def _problems(scene: SceneInputs, frames: pd.DataFrame) -> list[Problem]:
     for what, quality in (("no ground truth", QualityClass.NONE), ("class C", QualityClass.C)):
         of_class = frames[(frames["quality"] == quality) & (frames["reason"] != "")]
         reasons = pd.Series(grouped_reasons(list(of_class["reason"])), dtype=object)
-        problems += [Problem(what, int(count), str(why)) for why, count in reasons.value_counts().items()]
+        problems += [Problem(what, int(n), str(why), _advice(str(why))) for why, n in reasons.value_counts().items()]
     return problems
+
+
+def _advice(reason: str) -> str:
+    """What makes frames with this reason better in another capture; empty where nothing is known."""
+    return next((advice for words, advice in FRAME_ADVICE.items() if words in reason), "")
 
 
 def problem_of(stopped: dict[str, Any]) -> Problem:

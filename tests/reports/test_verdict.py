@@ -10,10 +10,13 @@ import pandas as pd
 import pytest
 
 import groundwalk
+from groundwalk.alignment.quality import CLASS_B, FrameEvidence, grade
 from groundwalk.closing import closing_lines
 from groundwalk.fusion.evaluation.summary import summarise
 from groundwalk.geometry.poses import make_pose, yaw_rotation
 from groundwalk.reports.definition import STAGE
+from groundwalk.reports.verdict import FRAME_ADVICE
+from groundwalk.store.choices import NotRegistered
 from groundwalk.store.files import read_json, write_json
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
@@ -86,6 +89,22 @@ def test_uncertain_scale_or_too_few_sure_frames_leave_it_undecided(make_run: Mak
     assert verdict["verdict"] == "undecided" and "scale: 2.8 % (limit 2 %)" in verdict["why"]
     problem = {"what": "check map_scale undecided", "count": 10, "why": scale["reason"].iloc[0], "do": "a longer walk"}
     assert problem in verdict["problems"]
+
+
+@pytest.mark.parametrize(
+    "evidence", [CLASS_B._replace(**{name: worse}) for name, worse in zip(CLASS_B._fields, (1, 9, 9, 9), strict=True)]
+)
+def test_whatever_keeps_a_frame_from_being_sure_comes_with_what_to_do(
+    make_run: MakeRun, evidence: FrameEvidence
+) -> None:
+    data = make_run(Yard={"train": 12, "test": 8, "uncertain": 0.7})
+    truth = table_of(data, "Yard", "align", "ground_truth")
+    uncertain = truth["quality"] == "C"
+    assert uncertain.any()
+    rewrite(data, "Yard", "align", "ground_truth", truth.assign(reason=np.where(uncertain, grade(evidence).reason, "")))
+    problems = judged(data, "Yard")[1]["problems"]
+    assert [problem["do"] != "" for problem in problems if problem["what"] == "class C"] == [True]
+    assert all(any(words in reason for words in FRAME_ADVICE) for reason in NotRegistered)
 
 
 def test_of_a_map_of_images_alone_no_sigma_is_said(make_run: MakeRun) -> None:
