@@ -71,10 +71,8 @@ $(stages): | $(installed)
 simulate: | $(installed) #! Simulate the scene's captures, where it has none
 	@$(py) -m groundwalk simulate $(arguments)
 
-paper: | $(installed) #! All six scenes in the paper profile (profile=tiny: a rehearsal), then one regressor for all outdoors and one indoors
-	@for group in outdoor indoor; do \
-		$(py) -m groundwalk run --scene $$group --profile "$(if $(profile_is_given),$$profile,paper)" || exit; \
-	done
+paper: | $(installed) #! All six scenes, one regressor for all outdoors and one indoors, and one page; profile paper (profile=demo: hours)
+	@$(py) -m groundwalk run --scene paper --profile "$(if $(profile_is_given),$$profile,paper)"
 
 view: | $(installed) ## Open the scene's recordings in the Rerun viewer (web=1: in a browser)
 	@$(py) -m groundwalk view $(arguments) $(if $(web),--web)
