@@ -1,6 +1,5 @@
 """Images of unknown origin: full decode check, size, sharpness, hash, and their bytes without metadata."""
 
-import contextlib
 import hashlib
 import io
 import math
@@ -10,6 +9,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pi_heif
 import PIL.ExifTags
 import PIL.Image
 import simplejpeg
@@ -17,10 +17,7 @@ from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import ImageCheck
 
-with contextlib.suppress(ImportError):  # the user's choice: groundwalk[heic]
-    import pillow_heif
-
-    pillow_heif.register_heif_opener()
+pi_heif.register_heif_opener()
 
 Gray = NDArray[np.uint8]
 
@@ -81,9 +78,6 @@ def is_heic(start: bytes) -> bool:
 
 def _opened_heic(data: bytes, colours: str = "") -> PIL.Image.Image:
     """A HEIC image, turned as it says, and decoded where colours are named."""
-    if "HEIF" not in PIL.Image.OPEN:
-        how = "pip install 'groundwalk[heic]', or convert it (macOS: sips -s format jpeg; else heif-convert)"
-        raise BadImage(f"is HEIC, which needs a decoder: {how}")
     try:
         image = PIL.Image.open(io.BytesIO(data), formats=("HEIF",))
         return image.convert(colours) if colours else image
