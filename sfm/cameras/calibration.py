@@ -67,7 +67,7 @@ _MIN_WRONG_READOUT_S = 0.004
 
 
 @dataclass(frozen=True)
-class Lens:
+class CalibratedLens:
     """A lens: its frames' device, size and coefficients (OpenCV's order, 8), readout time, covariance (3, 3) of k1, k2
     and readout, where they are from, the stated lens (8) and readout time, and the median Sampson distance in held-out
     pairs, px, with the prior's lens and with the estimated one; None where nothing was estimated. `stamp_offset_s` is
@@ -100,7 +100,7 @@ class Lens:
 class Calibration:
     """The lenses of a scene and which one each of N frames has (N,)."""
 
-    lenses: list[Lens]
+    lenses: list[CalibratedLens]
     lens: Ints = field(repr=False)
 
     @property
@@ -128,7 +128,7 @@ class Calibration:
     def load(cls, path: Path) -> "Calibration":
         """What `save` wrote."""
         content = json.loads(path.read_text(encoding="utf-8"))
-        return cls([Lens(**lens) for lens in content["lenses"]], np.array(content["lens"], np.int64))
+        return cls([CalibratedLens(**lens) for lens in content["lenses"]], np.array(content["lens"], np.int64))
 
 
 def lenses_of(frames: pd.DataFrame, device_of_session: dict[str, str]) -> tuple[Ints, list[str]]:
@@ -181,7 +181,9 @@ def prior_lenses(frames: pd.DataFrame, device_of_session: dict[str, str], settin
             readout_s = stated_readout_s = float(frames["stated_readout_s"].iloc[members[0]])
             covariance[2, 2] = _STATED_READOUT_SD_S**2
         prior = (coefficients.tolist(), readout_s, covariance.tolist())
-        lenses.append(Lens(name, len(members), *prior, origin, stated.tolist(), *prior, float(k3_sd), stated_readout_s))
+        lenses.append(
+            CalibratedLens(name, len(members), *prior, origin, stated.tolist(), *prior, float(k3_sd), stated_readout_s)
+        )
     return Calibration(lenses, lens_N)
 
 
@@ -261,7 +263,7 @@ def _pair_matches(
     return PairMatches(pair, xy_M22, row_M2, focal_px, np.stack(poses), twist_P26, frames_P2, stated_6)
 
 
-def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, seed: int) -> Lens:
+def estimated_lens(prior: CalibratedLens, matches: PairMatches, frames: pd.DataFrame, seed: int) -> CalibratedLens:
     """The lens by its matches; the prior's where held-out pairs, whose poses alone are fitted, fit that one better."""
     count = len(matches.a_T_b)
     held_out_P = np.zeros(count, bool)
@@ -336,7 +338,7 @@ def _is_better(matches: PairMatches, before_M: Array, after_M: Array) -> bool:
     return bool(gain.mean() > max(limit, _MIN_WRONG_GAIN))
 
 
-def _distortion_is_denied(prior: Lens, weak: LensEstimate, stated_6: Array, frame: pd.Series) -> bool:
+def _distortion_is_denied(prior: CalibratedLens, weak: LensEstimate, stated_6: Array, frame: pd.Series) -> bool:
     """Images of a stated lens, by which `weak` is estimated almost without a prior, show another one that a lens can
     have; `frame` is one of them."""
     if prior.origin != CameraOrigin.STATED:

@@ -23,7 +23,14 @@ from groundwalk.sfm.cameras.adjustment import (
     marginal_readout,
     project,
 )
-from groundwalk.sfm.cameras.calibration import KNOWN_K3_SD, SAME_LENS_SD, Calibration, Lens, lines_of, prior_lenses
+from groundwalk.sfm.cameras.calibration import (
+    KNOWN_K3_SD,
+    SAME_LENS_SD,
+    CalibratedLens,
+    Calibration,
+    lines_of,
+    prior_lenses,
+)
 from groundwalk.sfm.cameras.motion import Motion, motion_by_vio
 from groundwalk.sfm.database import Ints, image_id, pose_of
 from groundwalk.sfm.settings import SfmSettings
@@ -165,7 +172,7 @@ def with_lenses_of(log: CameraLog, adjusted: Adjusted, rows: Ints) -> CameraLog:
     return replace(log, calibration=replace(log.calibration, lenses=lenses))
 
 
-def known_lens(lens: Lens, coefficients: Array, readout_s: float) -> Lens:
+def known_lens(lens: CalibratedLens, coefficients: Array, readout_s: float) -> CalibratedLens:
     """A lens with the coefficients (8,) and readout that a model of other frames of it has, as a prior."""
     sd = np.minimum(np.sqrt(np.diag(lens.prior_covariance)), SAME_LENS_SD)
     return replace(
@@ -295,7 +302,7 @@ def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSetting
     return cameras, priors
 
 
-def _lens_covariance(lens: Lens, radius: float) -> Array:
+def _lens_covariance(lens: CalibratedLens, radius: float) -> Array:
     """Prior covariance (4, 4) of k1, k2, k3 and readout of a lens whose images reach out to `radius` (focal lengths).
 
     The priors of k1 and k2 are of lenses without k3. With one they are what comes nearest to that in the image.

@@ -29,7 +29,7 @@ from groundwalk.sfm.cameras.adjustment import (
     shared_columns,
     with_step,
 )
-from groundwalk.sfm.cameras.calibration import Calibration, Lens
+from groundwalk.sfm.cameras.calibration import CalibratedLens, Calibration
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, with_likeliest_sds, with_shrunk_sds
 from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.cameras.normal_equations import Solver, System
@@ -384,7 +384,8 @@ def test_tables_of_cameras_have_a_row_each_and_no_sigma_where_none_was_estimated
     )
     exact = np.eye(3).tolist()
     known = [
-        Lens(str(k), 1, [0.0] * 8, 0.0, exact, CameraOrigin.PRIOR, [0.0] * 8, [0.0] * 8, 0.0, exact) for k in (0, 1)
+        CalibratedLens(str(k), 1, [0.0] * 8, 0.0, exact, CameraOrigin.PRIOR, [0.0] * 8, [0.0] * 8, 0.0, exact)
+        for k in (0, 1)
     ]
     still = np.zeros((_FRAMES, 3))
     log = CameraLog(

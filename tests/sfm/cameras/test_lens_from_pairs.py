@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from groundwalk.geometry.lens import distort, rational_of_fisheye
 from groundwalk.geometry.poses import Array, make_pose, relative
 from groundwalk.sfm.cameras import calibration
-from groundwalk.sfm.cameras.calibration import Lens, estimated_lens, lenses_of, prior_lenses
+from groundwalk.sfm.cameras.calibration import CalibratedLens, estimated_lens, lenses_of, prior_lenses
 from groundwalk.sfm.cameras.lens_from_pairs import EXACT_INFORMATION, PairMatches, estimate_lens, sampson_of
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import CameraOrigin
@@ -209,7 +209,7 @@ def _estimated(
     settings: SfmSettings | None = None,
     readout_s: float = 0.0,
     stated_readout_s: float = np.nan,
-) -> Lens:
+) -> CalibratedLens:
     matches = _matches(np.array([*true, 0, 0, 0, 0, 0, 0]), seed, 0.6, readout_s)
     frames = _frames(stated, 2 * _PAIRS).assign(stated_readout_s=stated_readout_s)
     prior = prior_lenses(frames, {"walk": "phone"}, settings or SfmSettings()).lenses[0]
