@@ -33,6 +33,7 @@ from groundwalk.scoring.errors import accuracy_shares
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.checkout import git_revision
 from groundwalk.store.files import make_writable
+from groundwalk.store.manifests import load_manifest
 from groundwalk.store.progress import track
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import dataset_frames, read_table
@@ -136,8 +137,9 @@ def cases_of_runs(data: DataRoot) -> tuple[list[Case], list[str]]:
             )
         )
         scene = f"{folder.name} ({folder.parent.name})"
-        for group, table in zip(("trained", "localised"), predictions, strict=False):
-            cases += _cases(group, Inputs(scene, dataset_frames(frames), truth, table))
+        captures = "simulated" if load_manifest(folder / "import")["simulated"] else "real"
+        for kind, table in zip(("regressors", "structure localisers"), predictions, strict=False):
+            cases += _cases(f"{kind}, {captures} captures", Inputs(scene, dataset_frames(frames), truth, table))
         names.append(scene)
     return cases, [f"runs: {', '.join(names)}", *_without_odometry(names, cases)] if names else []
 
@@ -319,7 +321,8 @@ def _by_scene(rows: pd.DataFrame) -> pd.DataFrame:
         names = [best["ahead"], *[name for name in (RAW, RULE) if name != best["ahead"]]]
         for label, name in zip(("ahead", *names[1:]), names, strict=True):
             figures = indexed.loc[(*key, name)]
-            row[f"{label}: mean"] = f"{figures[ERRORS[0]]:.3g} m, {figures[ERRORS[1]]:.3g}°"
+            answered = np.isfinite(figures[ERRORS[0]])
+            row[f"{label}: mean"] = f"{figures[ERRORS[0]]:.3g} m, {figures[ERRORS[1]]:.3g}°" if answered else "no pose"
         best_row = indexed.loc[(*key, best["ahead"])]
         row["p95"] = f"{best_row['position_p95_m']:.3g} m, {best_row['rotation_p95_deg']:.3g}°"
         listing.append(row)
