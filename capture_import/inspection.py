@@ -63,7 +63,7 @@ def _inspect(
     yield f"  log        {len(raw.frames)} rows, {count} with an image"
     yield from _health(sessions, settings)
     origin = far_origin(sessions)
-    for note in (*raw.notes, focal_note, "" if origin is None else describe_origin(origin)):
+    for note in (*sessions[0].recording.notes, focal_note, "" if origin is None else describe_origin(origin)):
         if note:
             yield f"  note       {note}"
     longest = max(sessions, key=lambda session: len(session.images))

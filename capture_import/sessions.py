@@ -2,6 +2,7 @@
 
 import math
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import pairwise
@@ -12,6 +13,7 @@ from groundwalk.capture_import.capture import (
     Image,
     ImageCheck,
     ImageFile,
+    Intrinsics,
     RawFrame,
     Recording,
     Reject,
@@ -25,6 +27,8 @@ from groundwalk.store.choices import PoseSource, SessionSplit
 
 # Grey levels, of 255: a covered lens with a sensor's noise has 0 to 1, a dim or dull view 30 and more.
 _MIN_CONTRAST = 2.0
+# Sizes are whole: at 480x270, a width by the height of 1080 may be off by the rounding of both.
+_MAX_SCALED_OFF_PX = 2.0
 
 
 def sound_sessions(
@@ -39,8 +43,10 @@ def sound_sessions(
     sharp than `min_relative_sharpness` of the median is rejected.
     """
     frames, rejects = check_rows(recording)
+    stated = Counter((frame.intrinsics.width, frame.intrinsics.height) for frame in frames if frame.intrinsics)
     frames, bad = _with_sound_images(recording, frames, check_images, min_relative_sharpness)
     rejects += bad
+    recording = replace(recording, notes=[*recording.notes, *_notes_on_scaled(frames, stated)])
     if recording.pose_source == PoseSource.NONE:
         return _by_camera(recording, frames, rejects)
     t_ns = np.array([f.t_ns for f in frames], dtype=np.int64)
@@ -101,10 +107,12 @@ def _with_sound_images(
     for frame, result in zip(with_image, check_images(with_image), strict=True):
         if isinstance(result, str):
             rejects.append(Reject.of(frame, result))
-        elif fault := _image_fault(frame, result):
+            continue
+        scaled = _at_size_of_image(frame, result)
+        if fault := _image_fault(scaled, result):
             rejects.append(Reject.of(frame, fault))
         else:
-            image_of[id(frame)] = Image(**vars(frame), check=result)
+            image_of[id(frame)] = Image(**vars(scaled), check=result)
     median = float(np.median([image.check.sharpness for image in image_of.values()])) if image_of else 0.0
     faults = {
         key: f"too blurred: sharpness {image.check.sharpness:.2f}, median of the session {median:.2f}"
@@ -123,6 +131,32 @@ def _with_sound_images(
                 faults[key] = f"image is a copy of that of {original.source}"
     rejects += [Reject.of(image_of.pop(key), fault) for key, fault in faults.items()]
     return [image_of.get(id(frame), frame) for frame in frames], rejects
+
+
+def _at_size_of_image(frame: RawFrame, check: ImageCheck) -> RawFrame:
+    """The row with its intrinsics at the image's own size, where that has the shape of the one that they state: images
+    are often made smaller, and nobody changes the file beside them."""
+    camera = frame.intrinsics
+    if camera is None or not camera.width or not camera.height:
+        return frame
+    x, y = check.width / camera.width, check.height / camera.height
+    if x == y == 1 or abs(y * camera.width - check.width) > _MAX_SCALED_OFF_PX:
+        return frame
+    at_size = Intrinsics(camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y, check.width, check.height)
+    return replace(frame, intrinsics=replace(at_size, distortion=camera.distortion, focal_sd=camera.focal_sd))
+
+
+def _notes_on_scaled(frames: list[RawFrame], stated: Counter[tuple[int | None, int | None]]) -> list[str]:
+    """A line on images whose intrinsics were for another size."""
+    sizes = Counter((image.check.width, image.check.height) for image in frames if isinstance(image, Image))
+    odd = [size for size in sizes if size not in stated and (None, None) not in stated]
+    if not odd:
+        return []
+    (width, height), (was_width, was_height) = odd[0], stated.most_common(1)[0][0]
+    return [
+        f"{sum(sizes[size] for size in odd)} images are {width}x{height}, their intrinsics for {was_width}x"
+        f"{was_height}: scaled"
+    ]
 
 
 def _image_fault(frame: RawFrame, check: ImageCheck) -> str | None:

@@ -129,8 +129,6 @@ def run(r: StageRun[ImportSettings]) -> None:
 def _read_sessions(r: StageRun[ImportSettings], source: RecordingSource, reader: ImageReader) -> list[Session]:
     """The sessions of a recording; UserError where nothing can be made of its motion."""
     recording = source.read(r.settings.limits)
-    for note in recording.notes:
-        r.say(f"{recording.recording_id}: {note}")
     checked = r.scratch / f"{recording.recording_id}.json"
 
     def check_images(frames: list[RawFrame]) -> Iterable[ImageCheck | str]:
@@ -143,6 +141,8 @@ def _read_sessions(r: StageRun[ImportSettings], source: RecordingSource, reader:
         return results
 
     sessions = sound_sessions(recording, check_images, r.settings.min_relative_sharpness)
+    for note in sessions[0].recording.notes:
+        r.say(f"{recording.recording_id}: {note}")
     sessions, said = with_focal_length(sessions, reader)
     if said:
         r.say(f"{recording.recording_id}: {said}")

@@ -77,7 +77,7 @@ def judge(
 ) -> None:
     """Say which frames of a capture can be trusted to what, and how far VIO is off: page.html and verdict.json.
 
-    Runs import, structure from motion and alignment in a data folder of its own, <out>/data; the same command goes on
+    Runs import, structure from motion and alignment in a data folder of its own, data/ below --out; the same command goes on
     where it was stopped. The capture isn't changed.
 
     Exit status: **0** accepted: half of the frames or more are of class A or B, scale and vertical are known; **3**

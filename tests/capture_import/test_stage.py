@@ -16,7 +16,15 @@ from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.tables import poses_of
-from tests.capture_import.capture_writers import HEIGHT, WIDTH, Walk, make_walk, write_frames_jsonl, write_scanner_app
+from tests.capture_import.capture_writers import (
+    HEIGHT,
+    WIDTH,
+    Walk,
+    make_walk,
+    write_frames_jsonl,
+    write_nerfstudio,
+    write_scanner_app,
+)
 from tests.known import read_picture, rows
 
 
@@ -25,6 +33,18 @@ def run_import(data: Path, scene: str, *settings: str) -> dict[str, pd.DataFrame
     assert (folder / "recording.rrd").stat().st_size > 1000
     tables = {p.stem: pd.read_parquet(p) for p in folder.glob("*.parquet")}
     return tables | {"figures": json.loads((folder / "manifest.json").read_text())["figures"]}
+
+
+def test_intrinsics_follow_images_that_were_made_smaller(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    walk, folder = make_walk(24), tmp_path / "captures" / "place"
+    write_nerfstudio(folder, walk)
+    for path in (folder / "images").iterdir():
+        cv2.imwrite(str(path), cv2.resize(read_picture(path), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+    tables = run_import(tmp_path, "place")
+    frames = tables["frames"]
+    assert len(frames) and tables["rejects"].empty and set(frames["width"]) == {WIDTH // 2}
+    np.testing.assert_allclose(frames[["fx", "fy", "cx", "cy"]], walk.camera[walk.seen] / 2)
+    assert f"their intrinsics for {WIDTH}x{HEIGHT}: scaled" in capsys.readouterr().err
 
 
 def test_tables_hold_the_walk_as_it_was_and_nothing_personal(tmp_path: Path) -> None:
