@@ -77,8 +77,8 @@ def judge(
 ) -> None:
     """Say which frames of a capture can be trusted to what, and how far VIO is off: page.html and verdict.json.
 
-    Runs import, structure from motion and alignment in a data folder of its own, data/ below --out; the same command goes on
-    where it was stopped. The capture isn't changed.
+    Runs import, structure from motion and alignment in a data folder of its own, data/ below --out; the same command
+    goes on where it was stopped. The capture isn't changed.
 
     Exit status: **0** accepted: half of the frames or more are of class A or B, scale and vertical are known; **3**
     undecided: there is ground truth, but less than that; **4** refused: no ground truth; **2** unreadable: the page

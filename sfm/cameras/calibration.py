@@ -43,9 +43,9 @@ from groundwalk.store.tables import poses_of
 PHONE_K1_K2 = np.array([0.08, -0.12])
 _PHONE_COVARIANCE = np.array([[0.05**2, -0.8 * 0.05 * 0.08], [-0.8 * 0.05 * 0.08, 0.08**2]])
 # What a capture states is meant to be right.
-_STATED_SD = np.array([0.005, 0.01])
+STATED_SD = np.array([0.005, 0.01])
 _STATED_READOUT_SD_S = 0.001
-SAME_LENS_SD = np.array([*_STATED_SD, 0.002])
+SAME_LENS_SD = np.array([*STATED_SD, 0.002])
 """Of k1, k2 and readout of a lens as another model of its frames has it."""
 # k3, which pairs hardly tell, is left to the adjustment of the model: of a lens that nothing is known of, and others.
 _K3_SD, KNOWN_K3_SD = 0.4, 0.02
@@ -166,7 +166,7 @@ def prior_lenses(frames: pd.DataFrame, device_of_session: dict[str, str], settin
         stated = np.zeros(8)
         distortion = np.asarray(frames["distortion"].iloc[members[0]], float)
         stated[: len(distortion)] = distortion
-        covariance = np.diag([*_STATED_SD**2, _READOUT_SD_S**2])
+        covariance = np.diag([*STATED_SD**2, _READOUT_SD_S**2])
         coefficients, origin, k3_sd = stated.copy(), CameraOrigin.STATED, KNOWN_K3_SD
         if settings.lens == "stated":
             covariance[:2, :2] = np.eye(2) / EXACT_INFORMATION
@@ -285,10 +285,11 @@ def estimated_lens(prior: CalibratedLens, matches: PairMatches, frames: pd.DataF
             limit_s = max(_MIN_WRONG_SIGMAS * np.sqrt(weak.covariance[2, 2]), _MIN_WRONG_READOUT_S)
             is_denied = abs(weak.parameters[2] - prior.stated_readout_s) > limit_s
             readout_is_wrong = bool(is_denied and np.median(at_weak) < np.median(at_prior))
-        if readout_is_wrong or undecided or (wrong and not is_held):
+        stands = prior.origin == CameraOrigin.STATED and not wrong
+        if readout_is_wrong or stands or (wrong and not is_held):
             covariance, k3_sd = np.array(prior.prior_covariance), prior.prior_k3_sd
-            if undecided:
-                # What leads pairs astray would lead the model, too.
+            if stands:
+                # What leads pairs astray, as a rolling shutter without VIO, would lead the model further.
                 covariance[:2, :2], k3_sd, is_held = np.eye(2) / EXACT_INFORMATION, EXACT_INFORMATION**-0.5, True
             elif wrong and not is_held:
                 covariance[:2, :2], k3_sd = _WEAK_PRIOR[:2, :2], _K3_SD

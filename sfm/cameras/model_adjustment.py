@@ -26,6 +26,7 @@ from groundwalk.sfm.cameras.adjustment import (
 from groundwalk.sfm.cameras.calibration import (
     KNOWN_K3_SD,
     SAME_LENS_SD,
+    STATED_SD,
     CalibratedLens,
     Calibration,
     lines_of,
@@ -34,6 +35,7 @@ from groundwalk.sfm.cameras.calibration import (
 from groundwalk.sfm.cameras.motion import Motion, motion_by_vio
 from groundwalk.sfm.database import Ints, image_id, pose_of
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.choices import CameraOrigin
 from groundwalk.store.tables import poses_of
 
 # Shorter steps of VIO say too little of the length of an sfm unit.
@@ -48,7 +50,9 @@ _VARIANCE_STEPS, _MAX_SIGMAS = 100, 3.0
 # charuco), and where there is no VIO and it mostly is the image's centre, from which those of phones are 0.4 and 1.4 %.
 _CENTRE_SD, _GUESSED_CENTRE_SD = 0.002, 0.015
 EXACT_SD = 1e-7
-# Of a stated lens that pairs of images deny, if not beyond chance: it is held, but not known.
+# Of a stated lens, which is held where pairs of images don't deny it: as captures state them, and where pairs do deny
+# it, if not beyond chance.
+_STATED_COVARIANCE = np.diag([*STATED_SD**2, KNOWN_K3_SD**2, 0.0])
 _UNDECIDED_COVARIANCE = np.diag([0.1**2, 0.2**2, 0.4**2, 0.0])
 _OUTLIER_SIGMAS = 4.0
 # A point that two frames see tells one number of their poses, which have six each.
@@ -141,8 +145,7 @@ def adjust_model(
     if settings.refine_cameras != "never":
         priors, learned = with_shrunk_sds(adjusted), with_likeliest_sds(adjusted)
         lenses = [log.calibration.lenses[k] for k in np.unique(log.calibration.lens[rows])]
-        doubts = np.array([_UNDECIDED_COVARIANCE * lens.stated_is_undecided for lens in lenses])
-        learned = replace(learned, lens_covariance=learned.lens_covariance + doubts)
+        learned = replace(learned, lens_covariance=learned.lens_covariance + np.array([*map(_doubt, lenses)]))
     adjusted = marginal_readout(adjust(bundle, adjusted.cameras, priors))
     _write_back(model, rows, point_ids, adjusted, features)
     observations.filter_observations_with_negative_depth()
@@ -150,6 +153,13 @@ def adjust_model(
     _, left_ids, left, _ = _bundle_of(model, keypoints, held, rows)
     noise = adjusted.noise[np.searchsorted(point_ids, left_ids)]
     return replace(adjusted, bundle=left, priors=learned, noise=noise), rows
+
+
+def _doubt(lens: CalibratedLens) -> Array:
+    """(4, 4) how far a stated lens that is held may be off; 0 of others."""
+    if lens.stated_is_undecided:
+        return _UNDECIDED_COVARIANCE
+    return _STATED_COVARIANCE * (lens.origin == CameraOrigin.STATED and lens.held_out_px is not None)
 
 
 def _deregister_undetermined(model: pycolmap.Reconstruction) -> bool:
