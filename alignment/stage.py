@@ -6,16 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from groundwalk.alignment import depth, held, recording
+from groundwalk.alignment import depth, georeference, held, recording
 from groundwalk.alignment.check_models import AlignInputs, check_models, refusal
 from groundwalk.alignment.checked_map import CheckedMap
 from groundwalk.alignment.checks.depth import check_depth
 from groundwalk.alignment.checks.results import CheckResult, checks_table, describe
 from groundwalk.alignment.components import MAX_SCALE_SD, MAX_VERTICAL_SD, MapScale, Vertical
 from groundwalk.alignment.control import check as control_check
+from groundwalk.alignment.control.check import ControlCheck
 from groundwalk.alignment.control.points import find_points
 from groundwalk.alignment.control.tables import control_table, draw_control, points_table
 from groundwalk.alignment.drift import ALL
+from groundwalk.alignment.georeference import NoGeoreference
 from groundwalk.alignment.ground_truth import AlignResult, build, camera_sd, poses_in_map
 from groundwalk.alignment.plot import draw_checks
 from groundwalk.alignment.reference.agreement import describe_agreement
@@ -32,6 +34,8 @@ from groundwalk.geometry.poses import Array
 from groundwalk.scoring.bootstrap import finite
 from groundwalk.store import StageRun
 from groundwalk.store.choices import DriftDefinition, QualityClass, ScaleSource, UpSource, VerticalSource
+from groundwalk.store.files import write_json
+from groundwalk.store.georeference import FILE
 from groundwalk.store.tables import dataset_frames, with_cameras
 
 CHECKS_PLOT, RULERS_PLOT, CONTROL_PLOT = "checks.png", "rulers.png", "control.png"
@@ -68,7 +72,9 @@ def run(r: StageRun[AlignSettings]) -> None:
     with r.step("depth"):
         checked = replace(checked, checks=[*checked.checks, *_check_by_depth(r, frames, images, checked)])
     with r.step("control"):
-        checked = replace(checked, checks=[*checked.checks, *_check_by_control(r, frames, images, checked)])
+        surveys = _check_by_control(r, frames, images, checked)
+        checked = replace(checked, checks=[*checked.checks, *(survey.result for survey in surveys)])
+        _place_on_earth(r, inputs, checked, surveys)
     with r.step("align"):
         result = build(frames, images, checked, reference)
         if before is not None:
@@ -135,7 +141,7 @@ def _check_by_depth(
 
 def _check_by_control(
     r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap
-) -> list[CheckResult]:
+) -> list[ControlCheck]:
     """The checks by surveyed points; their tables and picture are written."""
     found = [find_points(survey, frames, r.data.root, r.image_path) for survey in r.settings.controls]
     usable = checked.frames.has_ground_truth
@@ -146,7 +152,32 @@ def _check_by_control(
     r.write("control_points", points_table(checks))
     if checks:
         draw_control(r.work / CONTROL_PLOT, checks, poses_in_map(images, checked.placed)[usable, :3, 3])
-    return [check.result for check in checks]
+    return checks
+
+
+def _place_on_earth(
+    r: StageRun[AlignSettings], inputs: AlignInputs, checked: CheckedMap, surveys: Sequence[ControlCheck]
+) -> None:
+    """A file that says where on earth the map is, where a survey or import's setting gps asks for it, or why it doesn't
+    know."""
+    asks = (r.folder("import") / "gps.parquet").is_file()
+    if not asks and all(survey.points.origin is None for survey in surveys):
+        return
+    try:
+        found = georeference.of_surveys(surveys, checked.placed)
+        if found is None:
+            if not asks:
+                raise NoGeoreference("no survey in WGS84 passes its check: see its line, and correct it")
+            map_T_cam = poses_in_map(inputs.sfm.images, checked.placed)
+            map_T_cam[~checked.frames.has_ground_truth] = np.nan
+            gps = r.read("import", "gps")
+            found = georeference.of_gps(gps, inputs.frames, inputs.recordings, map_T_cam, checked.placed)
+    except NoGeoreference as reason:
+        write_json(r.work / FILE, {"refused": str(reason)})
+        r.say(f"no georeference: {reason}")
+    else:
+        found.write(r.work / FILE)
+        r.say(found.describe())
 
 
 def _write_figures(r: StageRun[AlignSettings], frames: pd.DataFrame, result: AlignResult, registered: int) -> None:

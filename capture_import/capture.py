@@ -4,7 +4,8 @@ Every format turns its poses into ours: ``vio_T_cam`` takes OpenCV camera axes (
 world whose +y is up. What a row of the log can't be read from is a `Reject`, never a silent gap.
 """
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -129,6 +130,22 @@ class Reject:
 
 
 @dataclass(frozen=True)
+class GpsFix:
+    """A position on earth (WGS84, degrees) that a phone states at a time on the clock of the poses.
+
+    `altitude_m` is as stated, by phones above sea level. `accuracy_m` is the radius of a circle with 68 % of positions,
+    `altitude_sd_m` one sigma; each is NaN where it isn't stated.
+    """
+
+    t_ns: int
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float = math.nan
+    accuracy_m: float = math.nan
+    altitude_sd_m: float = math.nan
+
+
+@dataclass(frozen=True)
 class Accelerations:
     """What a phone's accelerometer logged: times (M,) on the clock of the poses, and the force that it felt, (M, 3),
     along the camera's OpenCV axes in any unit. At rest it points up."""
@@ -148,7 +165,8 @@ class Recording:
     a reference states no unit. `split` is what a public data set states that the recording is for. `first_row` is the
     side of the images that the sensor reads out first, `readout_s` the time from there to the last row, where the
     capture states them. `has_intrinsics` is False where it states no intrinsics: those of the frames are a
-    guess, whose focal length import corrects by the poses. `recording_id` and `format` are set by whoever calls a
+    guess, whose focal length import corrects by the poses. `read_gps` reads its positions on earth, and is called only
+    where the user asks for them; None where it has none. `recording_id` and `format` are set by whoever calls a
     format's `read`.
     """
 
@@ -166,6 +184,7 @@ class Recording:
     readout_s: float | None = None
     has_intrinsics: bool = True
     accelerations: Accelerations | None = None
+    read_gps: Callable[[], tuple[list[GpsFix], list[Reject]]] | None = None
     notes: Sequence[str] = field(default_factory=tuple)
     recording_id: str = ""
     format: str = ""

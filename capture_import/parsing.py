@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, Reject
+from groundwalk.capture_import.capture import GpsFix, Intrinsics, Limits, RawFrame, Reject
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.lens import rational_of_fisheye
 from groundwalk.geometry.poses import Array, pose_from_tq
@@ -51,6 +51,32 @@ def read_rows(
         else:
             frames.append(replace(frame, number=place if frame.number < 0 else frame.number, source=source))
     return frames, rejects
+
+
+def read_fixes(
+    rows: Iterable[tuple[str, Row]], read: Callable[[int, Row], GpsFix | None]
+) -> tuple[list[GpsFix], list[Reject]]:
+    """The position of each row that has one, by `read(place, row)`; a row that raises BadRow becomes a reject, as one
+    that can't be a position on earth."""
+    fixes, rejects = [], []
+    for place, (source, row) in enumerate(rows):
+        try:
+            if (fix := read(place, row)) is not None:
+                fixes.append(_checked_fix(fix))
+        except BadRow as error:
+            rejects.append(Reject(source, None, str(error)))
+    return fixes, rejects
+
+
+def _checked_fix(fix: GpsFix) -> GpsFix:
+    latitude, longitude = fix.latitude_deg, fix.longitude_deg
+    if not (abs(latitude) <= 90 and abs(longitude) <= 180) or latitude == longitude == 0:
+        raise BadRow("GPS: latitude and longitude aren't a place on earth")
+    # Phones state what they don't know as 0 or below.
+    if not math.isnan(fix.accuracy_m) and not 0 < fix.accuracy_m < math.inf:
+        raise BadRow(f"GPS: an accuracy of {fix.accuracy_m:g} m says that there is no position")
+    is_known = math.isfinite(fix.altitude_m) and not fix.altitude_sd_m <= 0
+    return fix if is_known else replace(fix, altitude_m=math.nan, altitude_sd_m=math.nan)
 
 
 def join_by_time(poses: Sequence[RawFrame], images: Sequence[RawFrame]) -> list[RawFrame]:

@@ -42,6 +42,11 @@ class ImportSettings(Settings):
         False, description="turn images upright by gravity, a quarter turn at a time, with intrinsics and poses"
     )
     blur: bool = Field(False, description="make faces and licence plates that a detector finds unrecognisable")
+    gps: bool = Field(
+        False,
+        description="keep the positions on earth that photos and logs state, so that align can tell where on earth the "
+        "map is; otherwise they aren't read",
+    )
     min_relative_sharpness: float = Field(
         0.5,
         ge=0,

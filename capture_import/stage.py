@@ -11,7 +11,7 @@ from typing import Any, cast
 import pandas as pd
 
 from groundwalk.capture_import import tables
-from groundwalk.capture_import.capture import ImageCheck, RawFrame, Session
+from groundwalk.capture_import.capture import GpsFix, ImageCheck, RawFrame, Session
 from groundwalk.capture_import.checks.clock import MAX_OFFSET_S, check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, check_convention, with_focal_length
 from groundwalk.capture_import.checks.gravity import STATE_GRAVITY, check_gravity, with_gravity
@@ -101,6 +101,7 @@ def run(r: StageRun[ImportSettings]) -> None:
         session_rows = tables.sessions_table(
             sessions, frames_of, appearances_of(root), origin, reference_is_metric=settings.reference_is_metric
         )
+        sessions = _keep_gps(r, sessions)
         r.write("frames", frames.drop(columns=["recording", "stated_split", "content_sha256"]))
         r.write("sessions", session_rows)
         r.write("rejects", tables.rejects_table(sessions))
@@ -191,6 +192,24 @@ def _check_poses(r: StageRun[ImportSettings], of_recording: Sequence[list[Sessio
             )
     r.figure("convention_fit_lowest", min(fits, default=None))
     r.figure("clock_offset_s", max(offsets, key=abs, default=None))
+
+
+def _keep_gps(r: StageRun[ImportSettings], sessions: Sequence[Session]) -> list[Session]:
+    """Write the table of positions on earth, where the user asks for it; the sessions, with rows of such that can't be
+    read among the rejects."""
+    if not r.settings.gps:
+        return list(sessions)
+    fixes, kept = dict[str, list[GpsFix]](), list[Session]()
+    for session in sessions:
+        name, read_gps = session.recording.recording_id, session.recording.read_gps
+        if name not in fixes:
+            fixes[name], rejects = read_gps() if read_gps is not None else ([], [])
+            session = dataclasses.replace(session, rejects=[*session.rejects, *rejects])
+        kept.append(session)
+    r.write("gps", tables.gps_table(fixes))
+    for name, of_one in fixes.items():
+        r.say(f"{name}: {len(of_one) or 'no'} positions on earth")
+    return kept
 
 
 def _refuse_unusable(sessions: Sequence[Session], root: Path) -> None:

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from groundwalk.capture_import.capture import Session, poses_of
+from groundwalk.capture_import.capture import GpsFix, Session, poses_of
 from groundwalk.capture_import.selection import Selection
 from groundwalk.capture_import.sessions import duration, path_length
 from groundwalk.geometry.gravity import gravity_in_camera
@@ -142,6 +143,12 @@ def jumps_table(sessions: Sequence[Session]) -> pd.DataFrame:
     """Rows of `jumps`."""
     rows = [(s.session_id, j.t_ns, j.dt_s, j.jump_m, j.jump_deg, j.splits) for s in sessions for j in s.jumps]
     return pd.DataFrame(rows, columns=["session_id", "t_ns", "dt_s", "jump_m", "jump_deg", "splits"])
+
+
+def gps_table(fixes: Mapping[str, Sequence[GpsFix]]) -> pd.DataFrame:
+    """Rows of `gps` of the positions that each recording states."""
+    rows = [{"recording": recording, **asdict(fix)} for recording, of_one in fixes.items() for fix in of_one]
+    return pd.DataFrame(rows, columns=["recording", *(field.name for field in fields(GpsFix))])
 
 
 def vio_table(session: Session) -> pd.DataFrame:

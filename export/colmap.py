@@ -5,24 +5,26 @@ Each of SfM's models without a common view with the others has a separate folder
 Format: https://colmap.github.io/format.html (world-to-camera poses, quaternions w first in text; pixel centres at 0.5,
 as ours). The world is the map: metric, +y up. Cameras are SfM's, one a frame, with its lens (OPENCV, or FULL_OPENCV
 where it has k3). Observations of points are without the effect of a rolling shutter, so they may lie pixels from the
-images' features; the images are as the phone took them.
+images' features; the images are as the phone took them. Where the map's place on earth is given out,
+`geo_registration.txt` has each image's latitude, longitude and altitude, as `model_aligner --ref_is_gps 1` reads them.
 """
 
 from pathlib import Path
 from urllib.parse import unquote
 
+import numpy as np
 import pycolmap
 
-from groundwalk.export.dataset import Dataset, Images, SfmModel
+from groundwalk.export.dataset import Dataset, Images, SfmModel, number
 from groundwalk.store import UserError
 
 
 def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool = False) -> list[str]:
     """Write the layout; returns the frames' image paths. Frames without ground truth aren't in the model."""
     names: dict[str, str] = {}
-    for number, sfm_model in enumerate(dataset.models):
+    for index, sfm_model in enumerate(dataset.models):
         model = model_in_map(sfm_model)
-        write_model(model, folder / "sparse" / str(number), text=text)
+        write_model(model, folder / "sparse" / str(index), text=text)
         names |= names_by_frame(model)
     ordered = [names[frame_id] for frame_id in dataset.frames["frame_id"]]
     for split in ("train", "val", "test"):
@@ -30,6 +32,12 @@ def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool =
         (folder / f"{split}.txt").write_text(
             "".join(f"{name}\n" for name, of in named if of == split), encoding="utf-8"
         )
+    if dataset.georeference is not None:
+        _, _, geodetic = dataset.georeference.places(dataset.map_T_cam[:, :3, 3])
+        # A place without altitude is on the ellipsoid to COLMAP.
+        rows = zip(ordered, np.nan_to_num(geodetic), strict=True)
+        lines = [" ".join([name, *map(number, place)]) + "\n" for name, place in rows]
+        (folder / "geo_registration.txt").write_text("".join(lines), encoding="utf-8")
     for source, name in zip(dataset.images, ordered, strict=True):
         source.place(folder / "images" / name, images)
     return [f"images/{name}" for name in ordered]

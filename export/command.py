@@ -7,20 +7,27 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import pandas as pd
 import typer
 
-from groundwalk.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number
+from groundwalk.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number, with_georeference
 from groundwalk.export.exporters import EXPORTERS, MODEL_EXPORTERS
 from groundwalk.store import DataRoot, UserError, progress
 from groundwalk.store.cli import DataOption, ProfileOption
 from groundwalk.store.files import file_names, fresh_folder, refuse_to_overwrite, write_json
+from groundwalk.store.georeference import FILE
 from groundwalk.store.images import verify_images
 from groundwalk.store.inputs import held
 from groundwalk.store.tables import CAMERA_COLUMNS
 
 _NOTE = "export.json"
 _FRAMES = "frames.csv"
+_PLACES = "georeference.csv"
+_PLACE = [
+    *("latitude_deg", "longitude_deg", "altitude_m", "east_m", "north_m", "up_m"),
+    *("east_sd_m", "north_sd_m", "up_sd_m"),
+]
 _READ_FOR_TRUTH = ("import", "sfm", "align")
 _READ_FOR_MODEL = ("import", "align", "train", "fuse")
 
@@ -67,6 +74,9 @@ def export(
         str, typer.Option(help="The data set's licence, such as cc-by-4.0; format huggingface needs one.")
     ] = "",
     citation: Annotated[str, typer.Option(help="How to cite the data set, for its card.")] = "",
+    georeference: Annotated[
+        bool, typer.Option("--georeference", help="Give out where on earth the map is, too, where align knows it.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier export in that folder.")] = False,
     profile: ProfileOption = "demo",
     data: DataOption = Path("data"),
@@ -92,6 +102,8 @@ def export(
         reads_images = images is not ImagesOption.none
         dataset = load_dataset(root, profile, scene, reads_images=reads_images)
         dataset = replace(dataset, licence=licence, citation=citation)
+        if georeference:
+            dataset = with_georeference(dataset, root.run(profile, scene, "align"))
         about = {"scene": scene, "profile": profile, "format": name, "licence": licence, "citation": citation}
         exporter = EXPORTERS.find(name)
         if exporter.distortion_coefficients is not None:
@@ -171,6 +183,11 @@ def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[
     exported["distortion"] = [" ".join(map(number, coefficients)) for coefficients in frames["distortion"]]
     listed = pd.concat([exported, dataset.excluded[columns].assign(image="")]).sort_values("frame_id")
     listed.astype({"width": "Int64", "height": "Int64"}).to_csv(folder / _FRAMES, index=False)
+    if dataset.georeference is not None:
+        dataset.georeference.write(folder / FILE)
+        enu, sd, geodetic = dataset.georeference.places(dataset.map_T_cam[:, :3, 3])
+        places = pd.DataFrame(np.hstack([geodetic, enu, sd]), columns=_PLACE)
+        pd.concat([exported[["frame_id", "image"]], places], axis=1).to_csv(folder / _PLACES, index=False)
     content = {
         **about,
         "simulated": dataset.simulated,

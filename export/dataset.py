@@ -1,6 +1,5 @@
 """The exported data: the frames that have ground truth, with their images, and SfM's model brought into the map."""
 
-import shutil
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -15,8 +14,10 @@ from groundwalk.geometry.fits import Sim3, similarity_of_poses
 from groundwalk.geometry.poses import Array
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.choices import MapUnit, QualityClass, VerticalSource
-from groundwalk.store.hints import run_command
-from groundwalk.store.images import image_file, verify_images
+from groundwalk.store.files import read_json
+from groundwalk.store.georeference import FILE, Georeference, read_georeference
+from groundwalk.store.hints import run_command, setting_of
+from groundwalk.store.images import image_file, verify_images, without_metadata
 from groundwalk.store.manifests import MANIFEST, load_verified, missing_stage
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import (
@@ -66,7 +67,8 @@ class ImageSource:
         return ".png" if self.file.suffix.lower() == ".png" else ".jpg"
 
     def place(self, target: Path, images: Images) -> None:
-        """Link or copy the image to `target`; undistorted, or as the PNG that `target` asks for, it's written anew."""
+        """Link the image to `target`, or copy it without metadata; undistorted, or as the PNG that `target` asks for,
+        it's written anew."""
         if images == "none":
             return
         if not self.file.is_file():
@@ -76,7 +78,7 @@ class ImageSource:
             if images == "link":
                 target.symlink_to(self.file.resolve())
             else:
-                shutil.copyfile(self.file, target)
+                target.write_bytes(without_metadata(self.file.read_bytes()))
             return
         # As stored: a viewer's turn isn't applied, since the intrinsics are the sensor's.
         pixels = cv2.imread(str(self.file), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -99,7 +101,9 @@ class Dataset:
     and component, and the cameras that the poses go with. `images` are the N images, `map_T_cam` (N, 4, 4) their poses,
     `models` SfM's, largest first. `origin` is where the map's origin is in the coordinates that its reference poses
     were stated in; None where no reference gave the map, (0, 0, 0) where these are the map's. `sessions` is import's
-    table, `split_by` what decided its splits; `licence` and `citation` are what the user gives it out with."""
+    table, `split_by` what decided its splits; `licence` and `citation` are what the user gives it out with.
+    `georeference` is where on earth the map is, where the user gives that out, too; `reads_gps`: import read phones'
+    positions."""
 
     frames: pd.DataFrame
     excluded: pd.DataFrame
@@ -113,6 +117,8 @@ class Dataset:
     split_by: str = ""
     licence: str = ""
     citation: str = ""
+    georeference: Georeference | None = None
+    reads_gps: bool = False
 
     @property
     def world(self) -> str:
@@ -230,7 +236,22 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
         scene,
         read_table(imported / "sessions.parquet", schema("import", "sessions")),
         str(import_manifest.get("figures", {}).get("split", "")),
+        reads_gps=bool(import_manifest.get("settings", {}).get("gps", False)),
     )
+
+
+def with_georeference(dataset: Dataset, align: Path) -> Dataset:
+    """The dataset with where on earth its map is, of align's folder; UserError where it doesn't know."""
+    found = read_georeference(align)
+    if found is None:
+        raise UserError(
+            "nothing says where on earth the map is",
+            where=align,
+            found=str(read_json(align / FILE).get("refused", "no georeference was asked for")),
+            do=f"{setting_of('import', 'gps = true')}, or survey points in WGS84 (docs/how-to/georeference.md), and "
+            "run align; or leave --georeference out",
+        )
+    return replace(dataset, georeference=found)
 
 
 def read_finished(

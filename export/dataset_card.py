@@ -202,17 +202,31 @@ def _quality(dataset: Dataset) -> str:
 
 
 def _privacy(dataset: Dataset) -> str:
+    return f"{_people(dataset)} {_places(dataset)}"
+
+
+def _people(dataset: Dataset) -> str:
     looked = dataset.frames["blurred_faces"].notna()
     if dataset.simulated:
         return "The images show a simulated place without people."
     if not looked.any():
-        return (
-            "Nobody looked for faces and licence plates: people who are in the images can be recognised. Positions by "
-            "GPS were never read."
-        )
+        return "Nobody looked for faces and licence plates: people who are in the images can be recognised."
     faces, plates = (int(dataset.frames[name].sum()) for name in ("blurred_faces", "blurred_plates"))
     unblurred = f" {int((~looked).sum())} images were not searched." if not looked.all() else ""
     return (
         f"{faces} faces and {plates} licence plates were found by detectors and blurred; detectors miss some."
-        f"{unblurred} Positions by GPS were never read."
+        f"{unblurred}"
     )
+
+
+def _places(dataset: Dataset) -> str:
+    """What the data set says of where on earth it was captured."""
+    if dataset.georeference is not None:
+        place = "georeference.json and georeference.csv say where on earth the place is"
+        return f"{place} ({dataset.georeference.describe()})."
+    said = "Positions by GPS were never read."
+    if dataset.reads_gps:
+        said = "Positions by GPS were read; neither they nor where on earth the map is are in this data set."
+    if dataset.origin is not None and any(dataset.origin):
+        said += " map_origin in export.json leads back to the coordinates of the data set that the poses are from."
+    return f"{said} Images carry no metadata such as EXIF."

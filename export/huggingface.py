@@ -2,7 +2,7 @@
 
 Formats: https://huggingface.co/docs/datasets/image_dataset#parquet, https://huggingface.co/docs/hub/datasets-cards,
 https://docs.mlcommons.org/croissant/docs/croissant-spec-1.0.html with its extension for responsible AI. Images are as
-the phone took them, or as import blurred them; lens, covariance and quality class are columns.
+the phone took them, without EXIF, or as import blurred them; lens, covariance and quality class are columns.
 """
 
 import json
@@ -18,6 +18,7 @@ from groundwalk.export.dataset_card import card, croissant
 from groundwalk.geometry.poses import tq_from_pose
 from groundwalk.store import UserError
 from groundwalk.store.files import write_json
+from groundwalk.store.images import without_metadata
 
 SPLITS = {"train": "train", "val": "validation", "test": "test"}
 COLUMNS = {
@@ -90,7 +91,7 @@ def write_huggingface(dataset: Dataset, folder: Path, images: Images) -> list[st
 def _encoded(source: ImageSource, frame_id: str) -> dict[str, bytes | str]:
     if not source.file.is_file():
         raise UserError("an image is missing", where=source.file, do="import the scene again")
-    return {"bytes": source.file.read_bytes(), "path": f"{frame_id}{source.suffix}"}
+    return {"bytes": without_metadata(source.file.read_bytes()), "path": f"{frame_id}{source.suffix}"}
 
 
 def _feature(field: pa.Field) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from urllib.parse import quote
 import numpy as np
 
 from groundwalk.export.dataset import Dataset, Images
-from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, make_pose
+from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, inverse, make_pose
 
 # OpenGL's camera axes are ARKit's.
 _OPENGL_CAM_T_CAM = ARKIT_CAM_T_CAM
@@ -55,5 +55,13 @@ def write_nerfstudio(dataset: Dataset, folder: Path, images: Images) -> list[str
         },
         "frames": frames,
     }
+    if (place := dataset.georeference) is not None:
+        enu_S_map = place.enu_S_map
+        enu_T_world = make_pose(enu_S_map.rotation, enu_S_map.translation) @ inverse(_WORLD_T_MAP)
+        content["georeference"] = {
+            "origin": place.origin,
+            "scale": enu_S_map.scale,
+            "enu_T_world": enu_T_world.tolist(),
+        }
     (folder / "transforms.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return placed

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from groundwalk.alignment.control.settings import ControlSettings
 from groundwalk.alignment.rulers.detection import CENTRE_OF_FIRST_PIXEL, Grey, markers_in
+from groundwalk.geometry.earth import Origin, enu_of
 from groundwalk.geometry.poses import Array
 from groundwalk.store import UserError
 from groundwalk.store.images import read_grey_image
 from groundwalk.store.parallel import in_parallel
 
+_LOCAL, _WGS84 = ["x_m", "y_m", "z_m"], ["latitude_deg", "longitude_deg", "altitude_m"]
 _TAG_POINT = re.compile(r"(\d+)(?:\.([0-3]))?")
 
 
@@ -23,7 +25,7 @@ _TAG_POINT = re.compile(r"(\d+)(?:\.([0-3]))?")
 class ControlPoints:
     """K surveyed points: names, coordinates (K, 3) and their standard errors (K,), metres; M observations of them, by
     row of the frames table, point, and pixel (M, 2). `remarks`: what is wrong with a point's observations, by
-    its index."""
+    its index. `origin`: where on earth (0, 0, 0) is, of coordinates that are true east, north, up; None of others."""
 
     settings: ControlSettings
     names: list[str]
@@ -33,6 +35,7 @@ class ControlPoints:
     point: NDArray[np.int64]
     xy_px: Array
     remarks: dict[int, str]
+    origin: Origin | None = None
 
 
 def find_points(
@@ -43,11 +46,12 @@ def find_points(
     Raises UserError for files that aren't such tables, a point listed twice, a pixel outside of its image, and names of
     frames or points that there aren't.
     """
-    survey = _read(folder / settings.points, ["point"], ["x_m", "y_m", "z_m"])
+    survey = _read(folder / settings.points, ["point"], _LOCAL, _WGS84)
     _refuse_repeated(survey, ["point"], folder / settings.points)
     sd_m = survey["sd_m"].fillna(settings.sd_m) if "sd_m" in survey else pd.Series(settings.sd_m, survey.index)
     if not (sd_m > 0).all():
         raise UserError("a surveyed point's sd_m isn't above 0", where=folder / settings.points, found=sd_m.min())
+    xyz_m, origin = _coordinates(survey, settings, folder / settings.points)
     names = survey["point"].tolist()
     seen, remarks = list[tuple[int, int, float, float]](), dict[int, str]()
     if settings.images:
@@ -68,13 +72,30 @@ def find_points(
     return ControlPoints(
         settings,
         names,
-        survey[["x_m", "y_m", "z_m"]].to_numpy(float),
+        xyz_m,
         np.asarray(sd_m, dtype=float),
         table[:, 0].astype(np.int64),
         table[:, 1].astype(np.int64),
         table[:, 2:],
         remarks,
+        origin,
     )
+
+
+def _coordinates(survey: pd.DataFrame, settings: ControlSettings, path: Path) -> tuple[Array, Origin | None]:
+    """Metres (K, 3), those of latitudes and longitudes about their middle, and where on earth (0, 0, 0) is."""
+    if set(_LOCAL) <= set(survey):
+        return survey[_LOCAL].to_numpy(float), settings.origin
+    geodetic = survey[_WGS84].to_numpy(float)
+    if (np.abs(geodetic[:, :2]) > [90, 180]).any() or settings.up != "z" or settings.origin is not None:
+        raise UserError(
+            "these aren't latitudes and longitudes of points on earth",
+            where=path,
+            expected='latitude_deg within 90, longitude_deg within 180; a [[control]] with up = "z", without origin',
+            do="check the order of the columns, or give local coordinates x_m, y_m, z_m",
+        )
+    latitude, longitude, altitude = np.median(geodetic, axis=0).tolist()
+    return enu_of((latitude, longitude, altitude), geodetic), (latitude, longitude, altitude)
 
 
 def _of_file(path: Path, names: list[str], frames: pd.DataFrame) -> list[tuple[int, int, float, float]]:
@@ -133,13 +154,14 @@ def _tag_point(xy: Array, corner: str | None) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _read(path: Path, names: list[str], numbers: list[str]) -> pd.DataFrame:
-    """A CSV file with these columns, names as text and finite numbers."""
-    expected = f"CSV in UTF-8 with columns {', '.join([*names, *numbers])}"
+def _read(path: Path, names: list[str], *choices: list[str]) -> pd.DataFrame:
+    """A CSV file with names as text, and the first choice of finite numbers that it has."""
+    expected = f"CSV in UTF-8 with columns {' or '.join(', '.join([*names, *numbers]) for numbers in choices)}"
     try:
         table = pd.read_csv(path, dtype=dict.fromkeys(names, str), skipinitialspace=True)
     except (OSError, ValueError) as error:
         raise UserError("a file of control points can't be read", where=path, found=error, expected=expected) from None
+    numbers = next((numbers for numbers in choices if set(numbers) <= set(table)), choices[0])
     if missing := [name for name in [*names, *numbers] if name not in table]:
         found = ", ".join(map(str, table.columns))
         raise UserError(f"column {missing[0]} is missing", where=path, found=found, expected=expected)

@@ -31,6 +31,12 @@ class ControlSettings(Settings):
     up: Literal["z", "y", "unknown"] = Field(
         "z", description="the survey's axis that points up: z of east, north, up; unknown: of no use for the tilt"
     )
+    origin: tuple[float, float, float] | None = Field(
+        None,
+        description="latitude, longitude (degrees) and altitude (metres) in WGS84 of (0, 0, 0), where the survey's "
+        "axes are true east, north, up: places the map on earth; points in latitude_deg, longitude_deg and altitude_m "
+        "need none",
+    )
     max_error_m: float = Field(
         0.05, gt=0, description="the check fails where held-out points are further off, RMS, or one of them is, metres"
     )
@@ -39,6 +45,8 @@ class ControlSettings(Settings):
     def _consistent(self) -> "ControlSettings":
         if not self.images and self.dictionary is None:
             raise ValueError("nothing says where images show the points: name `images`, `dictionary` or both")
+        if self.origin is not None and (abs(self.origin[0]) > 90 or abs(self.origin[1]) > 180 or self.up != "z"):
+            raise ValueError('an origin is latitude, longitude and altitude of axes east, north, up (up = "z")')
         return self
 
 

@@ -7,13 +7,18 @@ Documented at https://github.com/Varvrar/ios_logger (README, "Dataset format"). 
   that of the images;
 - `Frames.txt`: time, frame number, fx, fy, cx, cy, a row for each frame of `Frames.m4v` in their order.
 
-`GPS.txt` and `Head.txt` are never read.
+- `GPS.txt`: time, latitude, longitude and, of newer versions, horizontal accuracy, altitude, vertical accuracy, floor,
+  course, speed; accuracies below 0 where there is no position. It is read only where import is asked for GPS.
+
+`Head.txt` is never read.
 """
 
+import math
+from functools import partial
 from pathlib import Path
 
 from groundwalk.capture_import import parsing
-from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, Recording, VideoFrame
+from groundwalk.capture_import.capture import GpsFix, Intrinsics, Limits, RawFrame, Recording, Reject, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.media.video import require_row_per_frame
 from groundwalk.store.choices import Clock
@@ -33,13 +38,26 @@ def read(path: Path, limits: Limits) -> Recording:
 
     images, more = parsing.read_rows(rows, read_image)
     frames = parsing.join_by_time(poses, images)
-    return Recording("iOS, ios_logger", Clock.UNIX, path, frames, [*rejects, *more])
+    gps = path / "GPS.txt"
+    read_gps = partial(_read_gps, gps, limits) if gps.is_file() else None
+    return Recording("iOS, ios_logger", Clock.UNIX, path, frames, [*rejects, *more], read_gps=read_gps)
 
 
 def _read_pose(_: int, line: str) -> RawFrame:
     time_s, x, y, z, qw, qx, qy, qz = parsing.split_numbers(line, 8, ",")
     pose = parsing.from_arkit(parsing.quaternion_pose([x, y, z], [qx, qy, qz, qw]))
     return RawFrame(parsing.seconds_to_ns(time_s), pose)
+
+
+def _read_gps(file: Path, limits: Limits) -> tuple[list[GpsFix], list[Reject]]:
+    def read_fix(_: int, line: str) -> GpsFix:
+        time_s, *values = parsing.split_numbers(line, separator=",")
+        if len(values) < 2:
+            raise parsing.BadRow(f"row has {1 + len(values)} numbers, not 3 or more")
+        latitude, longitude, accuracy, altitude, altitude_sd = [*values[:5], *[math.nan] * (5 - len(values))]
+        return GpsFix(parsing.seconds_to_ns(time_s), latitude, longitude, altitude, accuracy, altitude_sd)
+
+    return parsing.read_fixes(parsing.lines_of(file, limits), read_fix)
 
 
 FORMAT = Format(

@@ -7,25 +7,29 @@ EXIF is documented in CIPA DC-008. What matters:
   large sensor state `FocalLength` and the sensor's pixels a unit (`FocalPlaneXResolution`). Both are of the whole
   picture: a cropped one says nothing, a smaller one still holds;
 - dates are of a clock that anybody may set, in whole seconds mostly: an order, not times;
-- cameras are told apart by maker, model, lens, focal length and size; their names and places don't leave import.
+- cameras are told apart by maker, model, lens, focal length and size; their names don't leave import;
+- the GPS directory has latitude and longitude as degrees, minutes and seconds, altitude, and in `GPSHPositioningError`
+  the accuracy in metres. It is read only where import is asked for GPS.
 """
 
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import PIL.ExifTags
 import PIL.Image
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording, Reject
+from groundwalk.capture_import.capture import GpsFix, ImageFile, Intrinsics, Limits, RawFrame, Recording, Reject
 from groundwalk.capture_import.data_sets import GUESS_SD, guessed_intrinsics, images_alone
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import images_in
 from groundwalk.capture_import.media.images import BadImage, image_size
 from groundwalk.capture_import.media.video import is_video
-from groundwalk.capture_import.parsing import BadRow, read_rows, seconds_to_ns
+from groundwalk.capture_import.parsing import BadRow, read_fixes, read_rows, seconds_to_ns
 from groundwalk.store.choices import Clock
 from groundwalk.store.text import name_list
 
@@ -73,7 +77,8 @@ def read(path: Path, limits: Limits) -> Recording:
     photos = sorted(read, key=lambda photo: photo.date) if dated else read
     rows = [(photo.file.name, photo) for photo in photos]
     frames, bad = read_rows(rows, lambda place, photo: _row(place, photo, has_makers))
-    return images_alone(Clock.NAME_ORDER, path, frames, [*rejects, *bad], _notes(path, folder, frames, dated))
+    recording = images_alone(Clock.NAME_ORDER, path, frames, [*rejects, *bad], _notes(path, folder, frames, dated))
+    return replace(recording, read_gps=partial(read_fixes, [(photo.file.name, photo.file) for photo in photos], _fix))
 
 
 def _images_folder(path: Path) -> Path:
@@ -155,6 +160,33 @@ def _focal_px(details: dict[int, Any], width: int, height: int) -> float | None:
         unit_mm = _MM_OF_UNIT.get(int(_number(details.get(base.FocalPlaneResolutionUnit)) or 2), 25.4)
         focal_px = focal_mm * density / unit_mm * (max(width, height) / max(whole) if all(whole) else 1.0)
     return focal_px if 0.3 < focal_px / max(width, height) < 20 else None
+
+
+def _fix(place: int, file: Path) -> GpsFix | None:
+    """The position on earth that a photo's EXIF states, at the photo's time; None where there is none."""
+    tag = PIL.ExifTags.GPS
+    try:
+        with PIL.Image.open(file) as image:
+            gps = image.getexif().get_ifd(PIL.ExifTags.IFD.GPSInfo)
+        if tag.GPSLatitude not in gps or tag.GPSLongitude not in gps:
+            return None
+        latitude, longitude = (_degrees(gps[name]) for name in (tag.GPSLatitude, tag.GPSLongitude))
+        altitude, accuracy = (float(gps.get(name, math.nan)) for name in (tag.GPSAltitude, tag.GPSHPositioningError))
+        below = gps.get(tag.GPSAltitudeRef) in (1, b"\x01")
+    except (OSError, ValueError, SyntaxError, TypeError, ZeroDivisionError):
+        raise BadRow("GPS: EXIF has a position that can't be read") from None
+    return GpsFix(
+        seconds_to_ns(place),
+        -latitude if _text(gps.get(tag.GPSLatitudeRef)) == "S" else latitude,
+        -longitude if _text(gps.get(tag.GPSLongitudeRef)) == "W" else longitude,
+        -altitude if below else altitude,
+        accuracy,
+    )
+
+
+def _degrees(value: Any) -> float:
+    degrees, minutes, seconds = (float(part) for part in value)
+    return degrees + minutes / 60 + seconds / 3600
 
 
 def _number(value: Any) -> float:

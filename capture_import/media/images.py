@@ -1,4 +1,4 @@
-"""Images of unknown origin: full decode check, size, sharpness, hash, and their bytes without metadata."""
+"""Images of unknown origin: full decode check, size, sharpness and hash."""
 
 import hashlib
 import io
@@ -16,6 +16,7 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import ImageCheck
+from groundwalk.store.images import JPEG_SIGNATURE, PNG_SIGNATURE, without_metadata
 
 pi_heif.register_heif_opener()
 
@@ -24,10 +25,6 @@ Gray = NDArray[np.uint8]
 # Sharpness is measured on images of this long side, so that it doesn't depend on the camera's resolution.
 WORKING_LONG_SIDE = 480
 _REBLUR = 9
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_JPEG_SIGNATURE = b"\xff\xd8\xff"
-_START_OF_SCAN, _COMMENT, _ADOBE = 0xDA, 0xFE, 0xEE
-_PNG_METADATA = (b"eXIf", b"tEXt", b"zTXt", b"iTXt", b"tIME")
 
 
 class BadImage(ValueError):
@@ -55,12 +52,12 @@ def image_size(data: bytes, max_megapixels: float = math.inf) -> tuple[int, int]
     larger than the limit."""
     if not data:
         raise BadImage("is empty")
-    if data.startswith(_JPEG_SIGNATURE):
+    if data.startswith(JPEG_SIGNATURE):
         try:
             height, width, *_ = simplejpeg.decode_jpeg_header(data)
         except ValueError as error:
             raise BadImage(f"is broken: {error}") from None
-    elif data.startswith(_PNG_SIGNATURE) and len(data) >= 33:
+    elif data.startswith(PNG_SIGNATURE) and len(data) >= 33:
         width, height = struct.unpack(">II", data[16:24])
     elif is_heic(data):
         width, height = _opened_heic(data).size
@@ -109,7 +106,7 @@ def decode_gray(data: bytes, long_side: int) -> Gray:
 def _decode(data: bytes, colours: str, long_side: int) -> Any:
     width, height = image_size(data)
     is_gray = colours == "GRAY"
-    if data.startswith(_JPEG_SIGNATURE):
+    if data.startswith(JPEG_SIGNATURE):
         # The decoder scales while it decodes, which is faster; it still reads every byte, and strict mode reports what
         # an ordinary decoder paints grey.
         scale = min(1.0, long_side / max(width, height))
@@ -125,32 +122,6 @@ def _decode(data: bytes, colours: str, long_side: int) -> Any:
         image = decoded(data, cv2.IMREAD_GRAYSCALE if is_gray else cv2.IMREAD_COLOR)
         image = image if is_gray else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
     return shrunk(image, long_side)
-
-
-def without_metadata(data: bytes) -> bytes:
-    """A JPEG or PNG without what may say where, when and by whom it was taken; its pixels and colour profile stay.
-
-    Data that isn't laid out as expected comes back as it is.
-    """
-    if data.startswith(_JPEG_SIGNATURE):
-        kept, at = [data[:2]], 2
-        while at + 4 <= len(data) and data[at] == 0xFF:
-            marker, end = data[at + 1], at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-            if marker == _START_OF_SCAN:
-                return b"".join([*kept, data[at:]])
-            is_personal = marker == _COMMENT or (0xE1 <= marker <= 0xEF and marker != _ADOBE)
-            if not is_personal or data[at + 4 : end].startswith(b"ICC_PROFILE"):
-                kept.append(data[at:end])
-            at = end
-    elif data.startswith(_PNG_SIGNATURE):
-        kept, at = [data[:8]], 8
-        while at + 12 <= len(data):
-            end = at + 12 + int.from_bytes(data[at : at + 4], "big")
-            if data[at + 4 : at + 8] not in _PNG_METADATA:
-                kept.append(data[at:end])
-            at = end
-        return b"".join(kept)
-    return data
 
 
 def encode_jpeg(rgb: NDArray[np.uint8], quality: int = 95) -> bytes:

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import Image, ImageFile, VideoFrame
 from groundwalk.capture_import.media.blurring import Detector, Region, blur_people
-from groundwalk.capture_import.media.images import decode_rgb, encode_jpeg, is_heic, without_metadata
+from groundwalk.capture_import.media.images import decode_rgb, encode_jpeg, is_heic
 from groundwalk.capture_import.media.reading import ImageReader, video_of
 from groundwalk.capture_import.media.upright import turned_pixels
 from groundwalk.capture_import.media.video import decode, rgb_pixels
+from groundwalk.store.images import without_metadata
 from groundwalk.store.parallel import in_parallel
 from groundwalk.store.progress import track
 

@@ -42,7 +42,7 @@ def fit_control(
         others = used.copy()
         others[judged] = False
         fit, of_fit = _fit(survey, sd_m, xyz, covariance, others, rigid=rigid)
-        jacobian, arm = _jacobian(fit, xyz[judged], xyz[others].mean(axis=0))
+        jacobian, arm = similarity_jacobian(fit, xyz[judged], xyz[others].mean(axis=0))
         held_out[judged] = survey[judged] - fit.points(xyz[judged])
         held_out_covariance[judged] = (
             jacobian @ of_fit @ np.swapaxes(jacobian, 1, 2)
@@ -62,7 +62,7 @@ def _fit(survey: Array, sd_m: Array, xyz: Array, covariance: Array, used: Mask, 
         fit = Sim3(1.0, survey_T_map[:3, :3], survey_T_map[:3, 3])
     else:
         fit = fit_sim3(survey[used], xyz[used], weights)
-    jacobian, _ = _jacobian(fit, xyz[used], xyz[used].mean(axis=0))
+    jacobian, _ = similarity_jacobian(fit, xyz[used], xyz[used].mean(axis=0))
     free = slice(0, 6 if rigid else 7)
     weighted = weights[:, None, None] * np.swapaxes(jacobian[:, :, free], 1, 2)
     inverse = np.linalg.inv((weighted @ jacobian[:, :, free]).sum(axis=0))
@@ -74,7 +74,7 @@ def _fit(survey: Array, sd_m: Array, xyz: Array, covariance: Array, used: Mask, 
     return fit, result
 
 
-def _jacobian(fit: Sim3, xyz: Array, middle: Array) -> tuple[Array, Array]:
+def similarity_jacobian(fit: Sim3, xyz: Array, middle: Array) -> tuple[Array, Array]:
     """Derivatives (N, 3, 7) of fitted points by a turn and shift about `middle` (3,) and the log scale, and how far
     (N, 3) the points are from it."""
     arm = fit.scale * (xyz - middle) @ fit.rotation.T

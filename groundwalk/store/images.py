@@ -1,4 +1,4 @@
-"""Images of import.frames: which file each is, and its pixels."""
+"""Images of import.frames: which file each is, its pixels, and its bytes without metadata."""
 
 import math
 from pathlib import Path
@@ -11,6 +11,11 @@ from groundwalk.store.errors import UserError
 from groundwalk.store.files import IMPORTED, hash_files, leads_outside
 
 Image = NDArray[np.uint8]
+
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+JPEG_SIGNATURE = b"\xff\xd8\xff"
+_START_OF_SCAN, _COMMENT, _ADOBE = 0xDA, 0xFE, 0xEE
+_PNG_METADATA = (b"eXIf", b"tEXt", b"zTXt", b"iTXt", b"tIME")
 
 
 def image_file(image: str, captures: Path, imported: Path) -> Path:
@@ -77,3 +82,29 @@ def small_jpeg(path: Path, long_side: int, gravity_x: float, gravity_y: float) -
     if not done:
         raise RuntimeError(f"no JPEG of {path}")
     return jpeg.tobytes()
+
+
+def without_metadata(data: bytes) -> bytes:
+    """A JPEG or PNG without what may say where, when and by whom it was taken; its pixels and colour profile stay.
+
+    Data that isn't laid out as expected comes back as it is.
+    """
+    if data.startswith(JPEG_SIGNATURE):
+        kept, at = [data[:2]], 2
+        while at + 4 <= len(data) and data[at] == 0xFF:
+            marker, end = data[at + 1], at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+            if marker == _START_OF_SCAN:
+                return b"".join([*kept, data[at:]])
+            is_personal = marker == _COMMENT or (0xE1 <= marker <= 0xEF and marker != _ADOBE)
+            if not is_personal or data[at + 4 : end].startswith(b"ICC_PROFILE"):
+                kept.append(data[at:end])
+            at = end
+    elif data.startswith(PNG_SIGNATURE):
+        kept, at = [data[:8]], 8
+        while at + 12 <= len(data):
+            end = at + 12 + int.from_bytes(data[at : at + 4], "big")
+            if data[at + 4 : at + 8] not in _PNG_METADATA:
+                kept.append(data[at:end])
+            at = end
+        return b"".join(kept)
+    return data

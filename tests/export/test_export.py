@@ -21,14 +21,18 @@ from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.export import command
 from groundwalk.export.__main__ import app
 from groundwalk.export.dataset import load_dataset
+from groundwalk.export.dataset_card import _privacy
 from groundwalk.export.exporters import EXPORTERS
 from groundwalk.export.hloc import write_hloc
+from groundwalk.export.huggingface import _encoded
 from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.earth import ENU_R_YUP, enu_of
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, make_pose, pose_from_tq, transform
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.cleaning import clean_scene
 from groundwalk.store.files import sha256_of, write_json
+from groundwalk.store.georeference import FILE, Georeference
 from groundwalk.store.manifests import output_hashes
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import pose_frame, poses_of, read_table, with_cameras, write_table
@@ -221,6 +225,70 @@ def test_hloc_gets_a_reference_and_queries(scene: DataRoot) -> None:
         quaternion = np.array([qx, qy, qz, qw], float)
         found[frame_id] = inverse(pose_from_tq(np.array(translation, float), quaternion))
     _assert_same(scene, found)
+
+
+def test_where_on_earth_the_map_is_is_given_out_only_where_it_is_asked_for(scene: DataRoot) -> None:
+    with pytest.raises(UserError, match="where on earth") as refused:
+        _export(scene, "tum", "--georeference")
+    assert "gps = true" in str(refused.value.details["do"])
+    align = scene.run("tiny", "Place", "align")
+    place = Georeference(
+        source="gps", origin=(-33.8568, 151.2153, 40.0), enu_S_map=Sim3(1.0, ENU_R_YUP, np.array([3.0, -2.0, 1.5])),
+        covariance=np.diag([1e-5, 1e-5, 1e-3, 4.0, 4.0, 9.0, 0.0]), middle=np.zeros(3), stated=9, used=9, rms_m=2.0,
+        worst_m=4.0, gives_scale=False,
+    )  # fmt: skip
+    place.write(align / FILE)
+    manifest = json.loads((align / "manifest.json").read_text())
+    write_json(align / "manifest.json", manifest | {"outputs": output_hashes(align)})
+    truth = _truth(scene)
+    enu = place.enu_S_map.points(poses_of(truth, "map_cam")[:, :3, 3])
+    for name in ("colmap", "nerfstudio", "huggingface"):
+        plain = _export(scene, name)
+        private = [path for path in plain.rglob("*") if path.is_file() and path.suffix != ".parquet"]
+        assert not any(b"151.21" in path.read_bytes() or "geo" in path.name for path in private)
+        shutil.rmtree(plain)
+        out = _export(scene, name, "--georeference")
+        listed = pd.read_csv(out / "georeference.csv").set_index("frame_id").loc[truth.index]
+        np.testing.assert_allclose(listed[["east_m", "north_m", "up_m"]], enu, atol=1e-6)
+        geodetic = listed[["latitude_deg", "longitude_deg", "altitude_m"]]
+        np.testing.assert_allclose(enu_of(place.origin, geodetic.to_numpy()), enu, atol=1e-3)
+        assert (listed["east_sd_m"] >= 2).all() and (listed["up_sd_m"] >= 3).all()
+        if name == "colmap":
+            lines = (out / "geo_registration.txt").read_text().split("\n")
+            image, *values = lines[0].split(" ")
+            expected = geodetic.loc[_frame_of(out)[f"images/{image}"]]
+            np.testing.assert_allclose(np.array(values, float), expected, atol=1e-9)
+        if name == "nerfstudio":
+            content = json.loads((out / "transforms.json").read_text())
+            enu_T_world, frame = np.array(content["georeference"]["enu_T_world"]), content["frames"][0]
+            at = (enu_T_world @ frame["transform_matrix"])[:3, 3]
+            np.testing.assert_allclose(at, enu[truth.index == _frame_of(out)[frame["file_path"]]][0], atol=1e-6)
+        if name == "huggingface":
+            card = (out / "README.md").read_text(encoding="utf-8")
+            assert "georeference.csv say where on earth" in card and "GPS were never read" not in card
+
+
+def test_a_card_says_of_people_and_places_what_is_so(scene: DataRoot) -> None:
+    dataset = replace(load_dataset(scene, "tiny", "Place"), simulated=False)
+    assert "people who are in the images can be recognised. Positions by GPS were never read." in _privacy(dataset)
+    asked = _privacy(replace(dataset, reads_gps=True, origin=(5e5, 4e6, 0.0)))
+    assert "Positions by GPS were read; neither they" in asked and "map_origin in export.json leads back" in asked
+    counts = np.where(np.arange(FRAMES) < 5, np.nan, 1.0)
+    blurred = dataset.frames.assign(blurred_faces=counts, blurred_plates=0.0)
+    said = _privacy(replace(dataset, frames=blurred))
+    assert "34 faces and 0 licence plates" in said and "5 images were not searched" in said
+
+
+def test_copied_and_embedded_images_carry_no_place(scene: DataRoot) -> None:
+    """A photo's EXIF may say where it was taken."""
+    dataset = load_dataset(scene, "tiny", "Place", reads_images=False)
+    source = dataset.images[0].file
+    data = source.read_bytes()
+    source.write_bytes(data[:2] + b"\xff\xe1\x00\x11Exif\0\0@151.2153" + data[2:])
+    assert b"151.2153" in source.read_bytes()
+    target = scene.root / "copied.jpg"
+    dataset.images[0].place(target, "copy")
+    assert b"151.2153" not in target.read_bytes() and b"151.2153" not in _encoded(dataset.images[0], "a")["bytes"]
 
 
 def test_hloc_without_test_frames_and_a_data_set_without_a_licence_are_refused(scene: DataRoot) -> None:

@@ -91,6 +91,15 @@ reference 1.0: Poses that a public data set has instead of VIO; no rows for phon
     t_ns (int64, ns): time on the session's clock; where that is name_order, the place in the order of names times 1e9
     map_cam (pose): map_T_cam by the data set
 
+gps 1.0: Positions on earth (WGS84) that photos and logs state; there only where the setting gps asks for them.
+    recording (string): the recording that states it
+    t_ns (int64, ns): time on the clock of its sessions; of a photo that of its frame
+    latitude_deg (float64, deg): latitude
+    longitude_deg (float64, deg): longitude
+    altitude_m (float64?, m): altitude as stated, by phones above sea level
+    accuracy_m (float64?, m): as stated: radius of a circle with 68 % of positions
+    altitude_sd_m (float64?, m): standard error of the altitude, as stated
+
 vio 1.0: All sound poses of the odometry at its full rate, also those without an image.
     session_id (string): recording; a part of one where VIO jumped (`walk`, `walk.part2`), or of one camera of several
         (`walk.camera2`)

@@ -26,6 +26,7 @@ from tests.capture_import.capture_writers import (
     sessions_in,
     write_arcore_logger,
     write_cambridge,
+    write_ios_logger,
     write_record3d,
     write_seven_scenes,
     write_stray_scanner,
@@ -193,6 +194,26 @@ def test_public_data_sets_keep_their_split_and_have_no_vio(tmp_path: Path) -> No
     assert "TestSplit.txt" in unlisted.notes[0]
     write_cambridge(tmp_path / "church" / "seq1", make_walk(8))
     assert {frame.split for frame in find_one(tmp_path / "church").read(Limits()).frames} == {"train"}
+
+
+def test_ios_loggers_gps_is_read_in_both_of_its_versions(tmp_path: Path) -> None:
+    write_ios_logger(tmp_path / "place" / "walk", make_walk(24))
+    lines = [
+        "5000.0,48.1,11.5,4.7,512.0,3.0,0,-1,-1",
+        "5001.0,48.1,11.5",
+        "5002.0,48.1,11.5,-1,0,-1,0,0,0",
+        "5003.0,48.1",
+    ]
+    (tmp_path / "place" / "walk" / "GPS.txt").write_text("\n".join(lines))
+    fixes, rejects = there(find_one(tmp_path / "place").read(Limits()).read_gps)()
+    assert [(fix.t_ns, fix.latitude_deg, fix.longitude_deg) for fix in fixes] == [
+        (5000 * 10**9, 48.1, 11.5),
+        (5001 * 10**9, 48.1, 11.5),
+    ]
+    assert (fixes[0].accuracy_m, fixes[0].altitude_m, fixes[0].altitude_sd_m) == (4.7, 512.0, 3.0)
+    assert np.isnan([fixes[1].accuracy_m, fixes[1].altitude_m, fixes[1].altitude_sd_m]).all()
+    assert [reject.source for reject in rejects] == ["GPS.txt line 3", "GPS.txt line 4"]
+    assert "an accuracy of -1 m" in rejects[0].reason
 
 
 def test_real_recordings_are_read(shared_captures: Path, shared_trajectories: Path, tmp_path: Path) -> None:

@@ -21,6 +21,8 @@ from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.images import image_file
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import read_table
 from tests.capture_import.capture_writers import image
 from tests.known import there
 
@@ -225,3 +227,35 @@ def test_a_video_without_a_sharp_frame_is_refused(tmp_path: Path) -> None:
     unusable: list[str] = []
     lines = list(inspect_capture(tmp_path / "walk", unusable=unusable))
     assert unusable == ["a"] and any("none of 10 images is sharp" in line for line in lines)
+
+
+def test_positions_on_earth_are_kept_only_where_they_are_asked_for(tmp_path: Path) -> None:
+    """South and west, below the sea, one without an altitude, one that is no position, one photo without any."""
+    place, tag = tmp_path / "captures" / "place", PIL.ExifTags.GPS
+    for n in range(5):
+        write_photo(place / f"IMG_{n}.jpg", n)
+        gps: dict[int, Any] = {
+            tag.GPSLatitude: (33.0, 51.0, 24.5 + n),
+            tag.GPSLatitudeRef: "S",
+            tag.GPSLongitude: (151.0, 12.0, 55.0) if n != 3 else (200.0, 0.0, 0.0),
+            tag.GPSLongitudeRef: "W",
+            tag.GPSHPositioningError: 4.75,
+        }
+        gps |= {tag.GPSAltitude: 12.5, tag.GPSAltitudeRef: b"\x01"} if n != 1 else {}
+        if n == 4:
+            continue
+        with PIL.Image.open(place / f"IMG_{n}.jpg") as photo:
+            exif = photo.getexif()
+            exif[BASE.GPSInfo] = gps
+            photo.save(place / f"IMG_{n}.jpg", quality=95, exif=exif)
+    plain = execute(STAGE, "place", "tiny", DataRoot(tmp_path))
+    assert not (plain / "gps.parquet").exists()
+    asked = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["gps=true"])
+    gps_table, rejects = (read_table(asked / f"{name}.parquet", schema("import", name)) for name in ("gps", "rejects"))
+    assert gps_table["t_ns"].tolist() == [0, 10**9, 2 * 10**9]
+    assert gps_table["latitude_deg"].to_numpy() == pytest.approx([-33.8568056, -33.8570833, -33.8573611])
+    assert gps_table["longitude_deg"].to_numpy() == pytest.approx(-151.2152778)
+    assert gps_table["altitude_m"].fillna(0).tolist() == [-12.5, 0, -12.5] and (gps_table["accuracy_m"] == 4.75).all()
+    assert (
+        rejects["source"].tolist() == ["IMG_3.jpg"] and rejects["reason"].str.contains("aren't a place on earth").all()
+    )

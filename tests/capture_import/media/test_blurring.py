@@ -16,8 +16,9 @@ import pytest
 from groundwalk.capture_import import stage as import_stage
 from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.media.blurring import CascadeDetector, Region, blur_people
-from groundwalk.capture_import.media.images import decode_rgb, without_metadata
+from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.store import DataRoot, UserError, execute, progress
+from groundwalk.store.images import without_metadata
 from groundwalk.store.manifests import load_manifest
 from tests.capture_import.capture_writers import (
     Walk,

@@ -1,0 +1,154 @@
+"""Where on earth a map is, by positions that phones state: within its bounds, or refused with figures."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from groundwalk.alignment.check_models import check_models
+from groundwalk.alignment.components import NO_SCALE, PlacedComponent
+from groundwalk.alignment.definition import STAGE
+from groundwalk.alignment.georeference import NoGeoreference, of_gps
+from groundwalk.alignment.ground_truth import poses_in_map
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.geometry.earth import ENU_R_YUP, enu_of, geodetic_of
+from groundwalk.geometry.poses import Array, yaw_rotation
+from groundwalk.store import DataRoot, execute
+from groundwalk.store.choices import VerticalSource
+from groundwalk.store.files import write_json
+from groundwalk.store.georeference import FILE, Georeference, read_georeference
+from groundwalk.store.manifests import output_hashes
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import poses_of, read_table, write_table
+from tests.synthetic_walks import Scene, Walks
+
+ORIGIN = (-33.8568, 151.2153, 40.0)
+ACCURACY_M = 4.5  # 3 m an axis
+
+
+def fixes(scene: Scene, seed: int, accuracy_m: float = ACCURACY_M) -> pd.DataFrame:
+    """What phones state a second apart of the true walks, at ORIGIN and turned by 0.7 rad: errors that last two
+    minutes."""
+    rng, tables = np.random.default_rng(seed), []
+    enu = scene.true_T_cam[:, :3, 3] @ (ENU_R_YUP @ yaw_rotation(0.7)).T
+    for name, of_one in scene.frames.groupby("session_id"):
+        keep, error = np.exp(-1 / 120), rng.normal(size=3)
+        errors = []
+        for _ in range(len(of_one)):
+            errors.append(error)
+            error = keep * error + np.sqrt(1 - keep**2) * rng.normal(size=3)
+        sd = accuracy_m / 1.51 * np.array([1, 1, 2])
+        table = pd.DataFrame(
+            geodetic_of(ORIGIN, enu[of_one.index] + sd * np.array(errors)),
+            columns=["latitude_deg", "longitude_deg", "altitude_m"],
+        )
+        stated = {"accuracy_m": accuracy_m, "altitude_sd_m": sd[2]}
+        tables.append(table.assign(recording=str(name), t_ns=of_one["t_ns"].to_numpy(), **stated))
+    return pd.concat(tables, ignore_index=True)
+
+
+def placed_by(
+    scene: Scene, gps: pd.DataFrame, *, metric: bool = True, upright: bool = True
+) -> tuple[Georeference, Array]:
+    """The georeference, and the camera centres in the map."""
+    checked = check_models(scene.inputs(), AlignSettings())
+    component = checked.placed[0].component
+    if not metric:
+        component = replace(component, scale=NO_SCALE)
+    if not upright:
+        component = replace(component, vertical=replace(component.vertical, source=VerticalSource.NONE))
+    placed = [replace(checked.placed[0], component=component)]
+    if not metric:
+        placed = [PlacedComponent(component, component.metric_S_sfm)]
+    map_T_cam = poses_in_map(scene.images, placed)
+    frames = scene.frames.assign(clock="boot")
+    return of_gps(gps, frames, scene.recordings, map_T_cam, placed), map_T_cam[:, :3, 3]
+
+
+@pytest.mark.parametrize("kind", ["metric", "no scale", "no vertical", "no altitude"])
+def test_walks_lie_where_the_phones_were_within_the_stated_bounds(kind: str, walks: Walks, tmp_path: Path) -> None:
+    """Of 8 scenes; the map's own errors are small beside GPS's."""
+    inside = []
+    for seed in range(8):
+        scene = walks.make(seed=seed, frames=120)
+        gps = fixes(scene, seed).assign(**({"altitude_m": np.nan} if kind == "no altitude" else {}))
+        found, xyz = placed_by(scene, gps, metric=kind != "no scale", upright=kind != "no vertical")
+        assert found.gives_scale == (kind == "no scale") and found.has_altitude == (kind != "no altitude")
+        found.write(tmp_path / FILE)
+        read = read_georeference(tmp_path)
+        assert read is not None and read.describe() == found.describe()
+        enu, sd, geodetic = read.places(xyz)
+        truth = scene.true_T_cam[:, :3, 3] @ (ENU_R_YUP @ yaw_rotation(0.7)).T
+        error = enu_of(ORIGIN, geodetic) - truth
+        axes = slice(0, 2 if kind == "no altitude" else 3)
+        inside.append(np.abs(error[:, axes]) <= 1.96 * sd[:, axes])
+        assert np.linalg.norm(error[:, :2], axis=1).max() < 15 and found.worst_m < 20
+        assert np.isnan(geodetic[:, 2]).all() == (kind == "no altitude") and np.isfinite(enu[:, :2]).all()
+    share = np.concatenate(inside).mean()
+    assert share >= 0.85, share
+
+
+def of_another_place(gps: pd.DataFrame) -> pd.DataFrame:
+    return gps.assign(latitude_deg=gps["latitude_deg"] + np.where(gps["recording"] == "walk1", 3.6, 0))
+
+
+def held_by_the_phone(gps: pd.DataFrame) -> pd.DataFrame:
+    return gps.assign(latitude_deg=gps["latitude_deg"].iloc[0], longitude_deg=gps["longitude_deg"].iloc[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "made", "why"),
+    [
+        (of_another_place, {"sessions": 2}, r"those of walk0 and walk1 by 399 km; nothing tells which"),
+        (lambda gps: gps.assign(accuracy_m=65.0), {}, "0 of 180 positions can be used.*180 of an accuracy of 65 m"),
+        (lambda gps: gps, {"sessions": 1, "speed_m": 0.2}, r"too short for a heading: over \d.* limit 10°: walk about"),
+        (held_by_the_phone, {}, "the phone repeated an old position 180 times"),
+        (lambda gps: gps.iloc[:0], {}, "no recording states a position on earth"),
+        (lambda gps: gps.assign(t_ns=0), {}, "180 while no frame with ground truth was taken"),
+    ],
+)
+def test_what_cannot_place_a_map_is_refused(
+    change: Callable[[pd.DataFrame], pd.DataFrame], made: dict[str, Any], why: str, walks: Walks
+) -> None:
+    scene = walks.make(seed=3, **made)
+    with pytest.raises(NoGeoreference, match=why) as refused:
+        placed_by(scene, change(fixes(scene, 3)))
+    assert "or name surveyed points" in str(refused.value)
+
+
+def test_a_walk_of_another_place_among_three_and_rough_positions_are_left_out(walks: Walks) -> None:
+    scene = walks.make(seed=5)
+    gps = of_another_place(fixes(scene, 5))
+    gps.loc[:9, "accuracy_m"] = 65.0
+    found, _ = placed_by(scene, gps)
+    assert found.used == 110 and found.rms_m < 10
+    assert "10 of an accuracy of 65 m or worse" in found.describe() and "60 that are up to 399 km" in found.describe()
+
+
+def test_align_places_a_map_whose_import_kept_positions(data: DataRoot, capsys: pytest.CaptureFixture[str]) -> None:
+    """Into a file of its own; without positions none; where they are too rough, the file has the reason alone."""
+    execute(STAGE, "Place", "tiny", data)
+    align, imported = data.run("tiny", "Place", "align"), data.run("tiny", "Place", "import")
+    assert not (align / FILE).exists()
+    truth = read_table(data.captures("Place") / "true_poses.parquet", schema("simulate", "true_poses"))
+    frames = read_table(imported / "frames.parquet", schema("import", "frames"))
+    scene = Scene(frames, frames, frames, poses_of(truth, "map_cam"), np.ones(1))
+    sessions = read_table(imported / "sessions.parquet", schema("import", "sessions")).set_index("session_id")
+    for accuracy_m, placed in ((2.0, True), (65.0, False)):
+        gps = fixes(scene, 0, accuracy_m)
+        gps["recording"] = gps["recording"].map(sessions["recording"])
+        write_table(imported / "gps.parquet", gps, schema("import", "gps"))
+        manifest = json.loads((imported / "manifest.json").read_text())
+        write_json(imported / "manifest.json", manifest | {"outputs": output_hashes(imported)})
+        execute(STAGE, "Place", "tiny", data, force=True)
+        found, said = read_georeference(align), capsys.readouterr().err
+        assert ("georeference by gps: " in said) == placed and (found is not None) == placed
+        tables = [path for path in align.iterdir() if path.name not in (FILE, "recording.rrd") and path.is_file()]
+        assert not any(b"151.21" in path.read_bytes() or b"latitude" in path.read_bytes() for path in tables)
+    content = json.loads((align / FILE).read_text())
+    assert content.keys() == {"refused"} and "an accuracy of 65 m or worse" in content["refused"]
