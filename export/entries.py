@@ -2,6 +2,7 @@
 
 from functools import partial
 
+from groundwalk.export import kapture
 from groundwalk.export.cambridge import write_cambridge
 from groundwalk.export.colmap import write_colmap
 from groundwalk.export.exporters import Exporter, ModelExporter
@@ -61,6 +62,13 @@ HLOC = Exporter(
     meaning="a reference model and lists of queries for hloc's scripts",
     write=write_hloc,
     distortion_coefficients=None,
+)
+KAPTURE = Exporter(
+    id="kapture",
+    label="kapture",
+    meaning="kapture 1.1, one of the frames for mapping and one of the queries",
+    write=kapture.write_kapture,
+    distortion_coefficients=kapture.DISTORTION,
 )
 HUGGINGFACE = Exporter(
     id="huggingface",

@@ -73,6 +73,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "7scenes": "groundwalk.export.entries:SEVEN_SCENES",
         "cambridge": "groundwalk.export.entries:CAMBRIDGE",
         "hloc": "groundwalk.export.entries:HLOC",
+        "kapture": "groundwalk.export.entries:KAPTURE",
         "huggingface": "groundwalk.export.entries:HUGGINGFACE",
     },
     "groundwalk.model_exporters": {

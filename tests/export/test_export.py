@@ -227,6 +227,34 @@ def test_hloc_gets_a_reference_and_queries(scene: DataRoot) -> None:
     _assert_same(scene, found)
 
 
+def test_kapture_is_two_data_sets_by_its_definition(scene: DataRoot) -> None:
+    """Fields between commas; a pose is world to camera, w first; a record's sensor is in sensors.txt, its pose in
+    trajectories.txt under the same time and sensor."""
+    out = _export(scene, "kapture")
+    frame_of, truth, found = _frame_of(out), _truth(scene), dict[str, Array]()
+    for part, splits in (("mapping", {"train", "val"}), ("query", {"test"})):
+        tables = {}
+        for name in ("sensors", "trajectories", "records_camera"):
+            lines = (out / part / "sensors" / f"{name}.txt").read_text(encoding="utf-8").splitlines()
+            assert lines[0] == "# kapture format: 1.1"
+            tables[name] = [[field.strip() for field in line.split(",")] for line in lines if not line.startswith("#")]
+        sensors = {device: fields for device, _, kind, *fields in tables["sensors"] if kind == "camera"}
+        poses = {(time, device): np.array(pose, float) for time, device, *pose in tables["trajectories"]}
+        for time, device, image in tables["records_camera"]:
+            frame_id = frame_of[f"{part}/sensors/records_data/{image}"]
+            row, (model, width, height, *params) = truth.loc[frame_id], sensors[device]
+            assert row["split"] in splits and int(time) < 2**32
+            assert (out / part / "sensors" / "records_data" / image).is_file()
+            assert (model, width, height) == (
+                "PINHOLE",
+                *_frames(scene).set_index("frame_id").loc[frame_id, ["width", "height"]].astype(str),
+            )
+            np.testing.assert_allclose(np.array(params, float), [row["fx"], row["fy"], row["cx"], row["cy"]], atol=1e-6)
+            qw, qx, qy, qz, *translation = poses[time, device]
+            found[frame_id] = inverse(pose_from_tq(np.array(translation), np.array([qx, qy, qz, qw])))
+    _assert_same(scene, found)
+
+
 def test_where_on_earth_the_map_is_is_given_out_only_where_it_is_asked_for(scene: DataRoot) -> None:
     with pytest.raises(UserError, match="where on earth") as refused:
         _export(scene, "tum", "--georeference")
