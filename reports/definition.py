@@ -15,7 +15,7 @@ class ReportSettings(Settings):
 
 STAGE = Stage(
     name="report",
-    version=19,
+    version=20,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import",),

@@ -154,6 +154,28 @@ def alignment(scene: SceneInputs) -> Grid | None:
     return plain_grid(f"alignment-{scene.name}", "VIO against the map", caption, heads, rows, 2)
 
 
+def control(scene: SceneInputs) -> Grid | None:
+    """How far surveyed points are off in the map."""
+    heads = "survey | points used | held out | RMS (mm) | expected (mm) | worst (mm) | within 95 % bounds (%)"
+    rows = []
+    for s in _records(scene.control):
+        of_fit = ((1000 * s.rms_m, 1), (1000 * s.expected_rms_m, 1), (1000 * s.worst_m, 1), (100 * s.within_bounds, 0))
+        # Without a scale of its own, the map's isn't off by anything.
+        scale = f"{100 * s.scale:+.2f} ± {100 * s.scale_sd:.2f}" if s.fit == "se3" else EMPTY
+        tilt = f"{s.tilt_deg:.2f} ± {s.tilt_sd_deg:.2f}" if s.tilt_deg == s.tilt_deg else EMPTY
+        used = f"{s.used} of {s.points}"
+        row = [s.control, used, s.held_out, *(number(value, digits) for value, digits in of_fit)]
+        rows.append([*row, scale, tilt, f"{s.status}: {s.reason}" if s.reason else s.status])
+    caption = (
+        "Surveyed points triangulated by the map's poses; each half is compared by a fit of the other. Expected: by "
+        "the standard errors of survey, images, poses, scale and fit. Scale: how much longer the map is than the "
+        "survey; tilt: between their verticals. No pose is changed by them."
+    )
+    return plain_grid(
+        f"control-{scene.name}", "Control points", caption, f"{heads} | scale (%) | tilt (°) | status", rows, 1
+    )
+
+
 def users(scene: SceneInputs) -> Grid | None:
     """What a user of each method sees on the test walks; None where nothing is fused."""
     if not scene.fuses:

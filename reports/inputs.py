@@ -15,6 +15,7 @@ from groundwalk.scoring.errors import sure_enough
 from groundwalk.store import StageRun
 from groundwalk.store.choices import Appearance, MapUnit, PoseSource
 from groundwalk.store.files import STOPPED, partial_folder, read_json
+from groundwalk.store.georeference import FILE, read_georeference
 from groundwalk.store.schemas import schema
 from groundwalk.store.simulated import TRUE_POSES
 from groundwalk.store.tables import (
@@ -51,7 +52,8 @@ class SceneInputs:
     result at its last attempt, with `what`, `where`, `expected`, `found` and `do`. `predictions` are the regressors'
     and the structure localisers', `cards` and `localisers` say what these are. `true_T_cam` (N, 4, 4) are the
     simulator's poses of the rows of `ground_truth`, None of a real capture. `manifests` has those of all stages that
-    went in, by a name to show. `checks_plot` is None where align left no picture.
+    went in, by a name to show. `checks_plot` and `control_plot` are None where align left no such
+    picture; `georeference` says how well the map's place on earth is known, without the place, or why it isn't.
     """
 
     name: str
@@ -72,6 +74,7 @@ class SceneInputs:
     align_sessions: pd.DataFrame
     drift: pd.DataFrame
     align_checks: pd.DataFrame
+    control: pd.DataFrame
     predictions: pd.DataFrame
     history: pd.DataFrame
     cards: pd.DataFrame
@@ -83,6 +86,8 @@ class SceneInputs:
     methods: pd.DataFrame
     validation: pd.DataFrame
     checks_plot: Path | None
+    control_plot: Path | None
+    georeference: str
     manifests: dict[str, dict[str, Any]]
 
     @property
@@ -320,6 +325,7 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
             stopped = {name: str(text) for name, text in left.items()}
     final = r.data.run(r.profile, leaf, "align")
     plot = (final if (leaf, "align") in r.sources else partial_folder(final)) / "checks.png"
+    control = final / "control.png"
     return SceneInputs(
         name=leaf,
         environment=r.data.scene(leaf)[0].environment,
@@ -339,6 +345,7 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         align_sessions=read("align", "sessions"),
         drift=read("align", "drift"),
         align_checks=read("align", "checks"),
+        control=read("align", "control"),
         predictions=pd.concat(predictions, ignore_index=True) if predictions else trained("predictions"),
         history=trained("history"),
         cards=trained("models"),
@@ -351,8 +358,15 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         methods=methods[methods["method"].isin(errors["method"])].reset_index(drop=True),
         validation=fused("validation"),
         checks_plot=plot if plot.is_file() else None,
+        control_plot=control if (leaf, "align") in r.sources and control.is_file() else None,
+        georeference=_georeference(final) if (leaf, "align") in r.sources else "",
         manifests=manifests,
     )
+
+
+def _georeference(align: Path) -> str:
+    found = read_georeference(align)
+    return found.describe() if found is not None else str(read_json(align / FILE).get("refused", ""))
 
 
 def _owner(r: StageRun[Any], leaf: str, stage: str) -> str:

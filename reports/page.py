@@ -33,6 +33,7 @@ class SceneSection:
     walk: str
     frames: str
     checks_plot: str
+    control_plot: str
     pictures: dict[str, list[Picture]]
     localiser_errors: list[LocaliserErrors]
     tables: dict[str, Markup]
@@ -107,6 +108,7 @@ def section(
         "rejects": details.rejects(scene),
         "alignment": details.alignment(scene),
         "consistency": details.consistency(scene),
+        "control": details.control(scene),
         "drift": details.drift(scene) if aligned else None,
         "localisers": details.localisers(scene),
         "walks": details.walks(scene) if fused else None,
@@ -124,6 +126,7 @@ def section(
         walk=draw(scene, verdict),
         frames=frame_data(scene, verdict, image_path),
         checks_plot=data_address("png", scene.checks_plot.read_bytes()) if scene.checks_plot else "",
+        control_plot=data_address("png", scene.control_plot.read_bytes()) if scene.control_plot else "",
         pictures=pictures,
         localiser_errors=localiser_errors,
         tables={name: html_table(grid) for name, grid in grids.items()},

@@ -153,6 +153,7 @@ class MadeUpScene:
                 "drift": self._drift(),
                 "checks": self._checks(),
                 "residuals": self._residuals(lost),
+                "control": self._control(),
             },
             "localise": {"predictions": pd.concat(localised), "models": self._maps()},
             "train": {"predictions": pd.concat(predictions), "history": self._history(), "models": self._cards()},
@@ -169,6 +170,18 @@ class MadeUpScene:
     def refused(self) -> Array:
         """The frames (N,) that each structure localiser refuses: every sixth."""
         return np.arange(len(self.frames)) % 6 == 0
+
+    def _control(self) -> pd.DataFrame:
+        figures = {
+            "points": 13,
+            "used": 12,
+            "held_out": 12,
+            "rms_m": 0.0064,
+            "expected_rms_m": 0.0084,
+            "worst_m": 0.015,
+        }
+        figures |= {"within_bounds": 0.917, "scale": 0.0007, "scale_sd": 0.0001, "tilt_deg": 0.031, "tilt_sd_deg": 0.16}
+        return filled("align", "control", 1, control="total station", fit="se3", status="passed", **figures)
 
     def _maps(self) -> pd.DataFrame:
         names, cost = [*self.localisers], {"inference_ms": 60.0, "cpu_ms": 80.0, "build_cpu_seconds": 7.0}

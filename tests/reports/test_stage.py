@@ -253,6 +253,11 @@ def test_the_page_counts_images_left_out_by_reason(church: tuple[DataRoot, Path]
     assert [row[-1] for row in rows_of(church[1], "sessions-Church")] == ["2", "0", "0", "0"]
 
 
+def test_the_page_shows_how_far_surveyed_points_are_off(church: tuple[DataRoot, Path]) -> None:
+    figures = ["12 of 13", "12", "6.4", "8.4", "15.0", "92", "+0.07 ± 0.01", "0.03 ± 0.16"]
+    assert rows_of(church[1], "control-Church") == [["total station", *figures, "passed"]]
+
+
 def test_the_page_shows_what_a_user_sees(church: tuple[DataRoot, Path]) -> None:
     rows = rows_of(church[1], "users-Church")
     assert ["PN", "raw", "never", "a whole walk", "0.125", "0.750", "–"] in rows

@@ -18,12 +18,14 @@ from groundwalk.alignment.control.points import find_points
 from groundwalk.alignment.control.settings import controls_of
 from groundwalk.alignment.control.tables import control_table, draw_control, points_table
 from groundwalk.alignment.definition import STAGE
+from groundwalk.alignment.georeference import of_surveys
 from groundwalk.alignment.settings import AlignSettings
+from groundwalk.geometry.earth import geodetic_of
 from groundwalk.geometry.poses import Array, inverse, transform
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import camera_of, poses_of, read_table
-from tests.known import cells
+from tests.known import cells, there
 from tests.known import rows as records
 from tests.synthetic_walks import Scene, Walks
 
@@ -64,8 +66,10 @@ def judged(
     *,
     seed: int = 0,
     metric: bool = True,
+    ruler_sd: float | None = None,
 ) -> ControlCheck:
-    """The check of a survey of the points, with errors of 3 mm, that `change` spoils."""
+    """The check of a survey of the points, with errors of 3 mm, that `change` spoils; in a map whose scale, where
+    `ruler_sd` is given, is off by as much, as by a printed board."""
     enu = xyz @ ENU_R_MAP.T + [500000.0, 4649776.0, 120.0] + np.random.default_rng(seed + 99).normal(0, SD_M, xyz.shape)
     survey = pd.DataFrame(change(enu), columns=["x_m", "y_m", "z_m"]).assign(point=NAMES)
     survey.to_csv(folder / "survey.csv", index=False)
@@ -77,6 +81,11 @@ def judged(
     placed = checked.placed
     if not metric:
         component = replace(placed[0].component, scale=NO_SCALE)
+        placed = [PlacedComponent(component, component.metric_S_sfm)]
+    if ruler_sd is not None:
+        scale = replace(placed[0].component.scale, sd=ruler_sd)
+        log = -np.log(0.37) + ruler_sd * np.random.default_rng(seed + 7).normal()
+        component = replace(placed[0].component, scale=replace(scale, log=float(log)))
         placed = [PlacedComponent(component, component.metric_S_sfm)]
     return check_control(points, scene.frames, scene.images, placed, checked.frames.has_ground_truth)
 
@@ -98,6 +107,46 @@ def test_points_that_agree_pass(metric: bool, place: tuple[Scene, Array], tmp_pa
     assert table["point"].tolist() == NAMES and table["reason"].eq("").all()
     draw_control(tmp_path / "control.png", [check], place[0].true_T_cam[:, :3, 3])
     assert (tmp_path / "control.png").stat().st_size > 10_000
+
+
+def test_simulated_surveys_are_within_5_mm_and_within_their_bounds(walks: Walks, tmp_path: Path) -> None:
+    """Twelve points of 3 mm an axis in each of ten maps, whose scale a print sets that is off by 0.02 %, one sigma."""
+    within, off = [], []
+    for seed in range(10):
+        scene, xyz = made(walks, seed)
+        check = judged(scene, xyz, tmp_path, seed=seed, ruler_sd=2e-4)
+        assert check.fit is not None and check.used.all() and check.result.status != "failed"
+        within += check.within_bounds.tolist()
+        truth = xyz @ ENU_R_MAP.T + [500000.0, 4649776.0, 120.0]
+        off.append(check.fit.survey_S_map.points(check.mapped.xyz) - truth)
+    rms_m = np.median(np.sqrt(np.mean(np.sum(np.square(off), axis=2), axis=1)))
+    assert rms_m < 0.005 and 0.85 <= np.mean(within) <= 0.99, (rms_m, np.mean(within))
+
+
+def test_a_survey_in_wgs84_places_the_map_on_earth(place: tuple[Scene, Array], tmp_path: Path) -> None:
+    """As the same points in metres do with an origin; a survey in local axes doesn't."""
+    origin = (46.5191, 6.5668, 410.0)
+    check = judged(*place, tmp_path)
+    survey = pd.read_csv(tmp_path / "survey.csv")
+    local = survey[["x_m", "y_m", "z_m"]].to_numpy() - survey[["x_m", "y_m", "z_m"]].to_numpy().mean(axis=0)
+    earth = pd.DataFrame(geodetic_of(origin, local), columns=["latitude_deg", "longitude_deg", "altitude_m"])
+    earth.assign(point=NAMES).to_csv(tmp_path / "survey.csv", index=False)
+    table = {"points": "survey.csv", "images": "seen.csv", "sd_m": SD_M, "pixel_sd": 0.5}
+    checked = check_models(place[0].inputs(), AlignSettings())
+    found = []
+    for changes in ({}, {"points": "local.csv", "origin": list(origin)}):
+        pd.DataFrame(local, columns=["x_m", "y_m", "z_m"]).assign(point=NAMES).to_csv(tmp_path / "local.csv")
+        (settings,) = controls_of([table | changes])
+        points = find_points(settings, place[0].frames, tmp_path, Path)
+        usable = checked.frames.has_ground_truth
+        again = check_control(points, place[0].frames, place[0].images, checked.placed, usable)
+        placed = there(of_surveys([check, again], checked.placed))
+        assert placed.used == 12 and placed.rms_m < 0.02 and not placed.gives_scale
+        found.append(placed.places(again.mapped.xyz)[2])
+    assert of_surveys([check], checked.placed) is None
+    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+    np.testing.assert_allclose(found[0], earth, atol=0.03)
+    np.testing.assert_allclose(found[0][:, :2], earth.iloc[:, :2], atol=3e-7)
 
 
 def one_wrong(enu: Array) -> Array:
