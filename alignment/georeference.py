@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from groundwalk.alignment.components import PlacedComponent
 from groundwalk.alignment.control.check import ControlCheck
@@ -67,8 +68,8 @@ def of_gps(
     main, remarks, stated = placed[0].component, list[str](), len(gps)
     if not stated:
         raise NoGeoreference(
-            "no recording states a position on earth: photos do where the camera had leave to use the place, and "
-            f"ios_logger's GPS.txt; capture so, {_SURVEY}"
+            "no recording states a position on earth: photos, 3D Scanner App and ios_logger do where they had leave to "
+            f"use the place; capture so, {_SURVEY}"
         )
     accuracy = gps["accuracy_m"].fillna(_UNSTATED_ACCURACY_M)
     is_rough = accuracy > _MAX_ACCURACY_M
@@ -76,7 +77,7 @@ def of_gps(
         remarks.append(f"{is_rough.sum()} of an accuracy of {accuracy[is_rough].min():.0f} m or worse")
     gps, accuracy = gps[~is_rough], accuracy[~is_rough]
     xyz = _at_fixes(gps, frames, recordings, map_T_cam)
-    has_place = np.isfinite(xyz).all(axis=1)
+    has_place: NDArray[np.bool_] = np.asarray(np.isfinite(xyz).all(axis=1))
     if not has_place.all():
         remarks.append(f"{int((~has_place).sum())} while no frame with ground truth was taken")
     gps, accuracy, xyz = gps[has_place], accuracy[has_place], xyz[has_place]
@@ -168,7 +169,7 @@ def _refuse_another_place(is_off: np.ndarray, residual: Array, walk: np.ndarray,
         return
     middle = np.stack([np.median(residual[walk == i, :2], axis=0) for i in range(len(names))])
     apart = np.linalg.norm(middle[:, None] - middle, axis=2)
-    a, b = np.unravel_index(int(np.argmax(apart)), apart.shape)
+    a, b = divmod(int(np.argmax(apart)), len(names))
     if len(names) > 1:
         what = f"those of {names[a]} and {names[b]} by {_distance(apart[a, b])}"
     else:

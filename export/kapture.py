@@ -23,14 +23,14 @@ _VERSION = "# kapture format: 1.1"
 def write_kapture(dataset: Dataset, folder: Path, images: Images) -> list[str]:
     """Write the layout; returns the frames' image paths."""
     frames, placed = dataset.frames, [""] * len(dataset.frames)
+    cameras = [_camera(camera_of(frame)) for frame in frames.itertuples(index=False)]
     position, quaternion = tq_from_pose(inverse(dataset.map_T_cam))
     for name, in_part in (("mapping", ~dataset.in_test), ("query", dataset.in_test)):
         rows, sensors, poses, records = np.flatnonzero(in_part), dict[str, str](), list[str](), list[str]()
         for row in rows:
             frame_id, session_id = frames["frame_id"].iloc[row], frames["session_id"].iloc[row]
-            camera = _camera(camera_of(next(frames.iloc[[row]].itertuples(index=False))))
             # Frames share a camera where focus and lens stayed the same.
-            device = sensors.setdefault(f"{session_id}\n{camera}", f"{quote(session_id, safe='')}-{len(sensors)}")
+            device = sensors.setdefault(f"{session_id}\n{cameras[row]}", f"{quote(session_id, safe='')}-{len(sensors)}")
             x, y, z, w = quaternion[row]
             poses.append(", ".join([str(row), device, *map(number, (w, x, y, z, *position[row]))]))
             image = f"{quote(frame_id, safe='/')}{dataset.images[row].suffix}"
@@ -39,10 +39,10 @@ def write_kapture(dataset: Dataset, folder: Path, images: Images) -> list[str]:
             dataset.images[row].place(folder / placed[row], images)
         if not len(rows):
             continue
-        cameras = [f"{device}, , camera, {key.partition(chr(10))[2]}" for key, device in sensors.items()]
+        listed = [f"{device}, , camera, {key.partition(chr(10))[2]}" for key, device in sensors.items()]
         world = f"# world: the map, {dataset.world}"
         for file, head, lines in (
-            ("sensors", ["# sensor_device_id, name, sensor_type, [sensor_params]+"], cameras),
+            ("sensors", ["# sensor_device_id, name, sensor_type, [sensor_params]+"], listed),
             ("trajectories", [world, "# timestamp, device_id, qw, qx, qy, qz, tx, ty, tz"], poses),
             ("records_camera", ["# timestamp, device_id, image_path"], records),
         ):

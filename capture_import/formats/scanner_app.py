@@ -11,14 +11,25 @@ Documented by the app's maker at https://3dscannerapp.com (export "All Data") an
 - `depth_XXXXX.png`, on phones with LiDAR: 16 bits, millimetres, 256x192 for the whole image; `conf_XXXXX.png`:
   ARKit's confidence, 0 (low) to 2 (high). Both by the files of version 1.9.5; its maker documents neither.
 
-Latitude and longitude may be in `info.json` and the frames; they're never read.
+`latitude` and `longitude` may be in `info.json` and the frames, without an accuracy; the frames' are read only where
+import is asked for GPS.
 """
 
 import re
+from functools import partial
 from pathlib import Path
 
 from groundwalk.capture_import import parsing
-from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording, Reject
+from groundwalk.capture_import.capture import (
+    DepthFile,
+    GpsFix,
+    ImageFile,
+    Intrinsics,
+    Limits,
+    RawFrame,
+    Recording,
+    Reject,
+)
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in
 from groundwalk.store.choices import Clock
@@ -52,7 +63,17 @@ def read(path: Path, limits: Limits) -> Recording:
         for index, file in numbered
         if file != files[index]
     ]
-    return Recording(_device(path), Clock.BOOT, path, frames, rejects)
+    rows = [(file.name, file) for _, file in sorted(files.items())]
+    read_gps = partial(parsing.read_fixes, rows, _read_fix)
+    return Recording(_device(path), Clock.BOOT, path, frames, rejects, read_gps=read_gps)
+
+
+def _read_fix(_: int, file: Path) -> GpsFix | None:
+    row = parsing.parse_json(parsing.read_text(file))
+    if "latitude" not in row or "longitude" not in row:
+        return None
+    place = [parsing.number(row, name) for name in ("latitude", "longitude")]
+    return GpsFix(parsing.seconds_to_ns(parsing.number(row, "time")), *place)
 
 
 def _intrinsics(row: dict[str, object]) -> Intrinsics:

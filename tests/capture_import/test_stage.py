@@ -77,6 +77,9 @@ def test_tables_hold_the_walk_as_it_was_and_nothing_personal(tmp_path: Path) -> 
     for path in (tmp_path / "runs").rglob("*"):
         assert path.is_dir() or not any(private in path.read_bytes() for private in (b"latitude", b"48.123456"))
     assert not np.isclose(frames.select_dtypes("number").to_numpy(), 48.123456).any()
+    gps = run_import(tmp_path, "place", "sampling='all'", "gps=true")["gps"]
+    assert len(gps) == 180 and (gps["latitude_deg"] == 48.123456).all() and gps["accuracy_m"].isna().all()
+    np.testing.assert_array_equal(gps.loc[gps["recording"] == "train-1", "t_ns"], walks["train-1"].t_ns)
 
 
 def test_few_frames_are_all_kept_the_leak_is_told_and_inspect_says_so(

@@ -25,6 +25,7 @@ from groundwalk.export.dataset_card import _privacy
 from groundwalk.export.exporters import EXPORTERS
 from groundwalk.export.hloc import write_hloc
 from groundwalk.export.huggingface import _encoded
+from groundwalk.export.kapture import _camera
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.earth import ENU_R_YUP, enu_of
 from groundwalk.geometry.fits import Sim3
@@ -253,6 +254,15 @@ def test_kapture_is_two_data_sets_by_its_definition(scene: DataRoot) -> None:
             qw, qx, qy, qz, *translation = poses[time, device]
             found[frame_id] = inverse(pose_from_tq(np.array(translation), np.array([qx, qy, qz, qw])))
     _assert_same(scene, found)
+
+
+def test_kapture_has_colmaps_lenses() -> None:
+    lens = (0.1, -0.2, 0.003, 0.004)
+    assert _camera(Camera(64, 48, 50.0, 51.0, 32.0, 24.0, lens)) == (
+        "OPENCV, 64, 48, 50.0, 51.0, 32.0, 24.0, 0.1, -0.2, 0.003, 0.004"
+    )
+    full = _camera(Camera(64, 48, 50.0, 51.0, 32.0, 24.0, (*lens, 0.5)))
+    assert full.startswith("FULL_OPENCV, 64") and full.endswith("0.003, 0.004, 0.5, 0.0, 0.0, 0.0")
 
 
 def test_where_on_earth_the_map_is_is_given_out_only_where_it_is_asked_for(scene: DataRoot) -> None:
