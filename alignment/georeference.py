@@ -91,10 +91,7 @@ def of_gps(
         raise NoGeoreference(
             f"the phone repeated an old position {len(gps)} times: record again once it moves, {_SURVEY}"
         )
-    altitudes = geodetic[np.isfinite(geodetic[:, 2]), 2]
-    # A median of longitudes would be wrong across 180 degrees.
-    at = geodetic[np.argsort(geodetic[:, 0], kind="stable")[len(geodetic) // 2]]
-    origin: Origin = (float(at[0]), float(at[1]), float(np.median(altitudes)) if len(altitudes) else 0.0)
+    origin = _middle(geodetic)
     enu = enu_of(origin, geodetic)
     horizontal = np.maximum(accuracy.to_numpy(float) / _RADIUS_OF_AXIS, _MIN_SD_M)
     vertical = gps["altitude_sd_m"].fillna(_VERTICAL_OF_RADIUS * accuracy).to_numpy(float)
@@ -138,6 +135,16 @@ def of_gps(
         gives_scale=not main.scale.is_known,
         remarks=remarks,
     )
+
+
+def _middle(geodetic: Array) -> Origin:
+    """Medians, which few positions of another place don't move; of longitudes from one of them on, as they begin anew
+    at 180 degrees. Without any altitude that is 0."""
+    altitudes = geodetic[np.isfinite(geodetic[:, 2]), 2]
+    one = geodetic[0, 1]
+    longitude = (one + np.median((geodetic[:, 1] - one + 180) % 360 - 180) + 180) % 360 - 180
+    altitude = float(np.median(altitudes)) if len(altitudes) else 0.0
+    return float(np.median(geodetic[:, 0])), float(longitude), altitude
 
 
 def _at_fixes(gps: pd.DataFrame, frames: pd.DataFrame, recordings: Mapping[str, str], map_T_cam: Array) -> Array:
