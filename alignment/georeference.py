@@ -195,7 +195,7 @@ def _refuse_unsure(fit: EarthFit, xyz: Array, sd: Array, *, rigid: bool) -> None
     """NoGeoreference where the positions span too little for a heading, or another length than the map."""
     sds = np.degrees(np.sqrt(np.diag(fit.covariance)))
     yaw, tilt = float(sds[2]), float(max(sds[:2]))
-    span_m = fit.enu_S_map.scale * float(np.linalg.norm(np.ptp(xyz[:, ::2], axis=0)))
+    span_m = fit.enu_S_map.scale * float(np.linalg.norm(np.ptp(xyz, axis=0)))
     if yaw > _MAX_YAW_DEG or tilt > _MAX_TILT_DEG:
         what, angle, limit = ("heading", yaw, _MAX_YAW_DEG) if yaw >= tilt else ("vertical", tilt, _MAX_TILT_DEG)
         raise NoGeoreference(
