@@ -2,11 +2,12 @@
 
 Documented at https://docs.nerf.studio/quickstart/data_conventions.html. What matters:
 
-- `transform_matrix` is camera to world with OpenGL's camera axes (y up, z backward), which are ARKit's;
+- `transform_matrix` is camera to world with OpenGL's camera axes (y up, z backward), which are ARKit's; where somebody
+  scaled the world with the whole matrix, its rotation is taken without that factor;
 - `applied_transform` (3x4), where there is one, took the poses from an earlier world to the file's; it's undone, so
   that an export of ours comes back with +y up;
 - intrinsics are at the top or, going before these, each frame's own: fl_x, fl_y, cx, cy, w, h, and OpenCV's k1, k2, k3,
-  p1, p2; `camera_model` is OPENCV, PINHOLE or OPENCV_FISHEYE with k1 to k4 (others are refused);
+  p1, p2, or a matrix `K`; `camera_model` is OPENCV, PINHOLE or OPENCV_FISHEYE with k1 to k4 (others are refused);
 - nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
 - intrinsics that are missing: `camera_angle_x` gives the focal length, the middle of the image the principal point, the
   image its size (instant-ngp's files and NeRF's synthetic scenes);
@@ -36,7 +37,7 @@ from groundwalk.capture_import.data_sets import (
 )
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import SUFFIXES, is_image
-from groundwalk.geometry.poses import Array, inverse, rigidity_error
+from groundwalk.geometry.poses import Array, inverse, make_pose, rigidity_error
 from groundwalk.store import UserError
 from groundwalk.store.files import leads_outside
 
@@ -45,6 +46,7 @@ _FILES = ("transforms.json", "transforms_train.json", "transforms_val.json", _TE
 _MODELS = ("OPENCV", "PINHOLE", "OPENCV_FISHEYE")
 # OpenCV's order.
 _DISTORTION, _FISHEYE = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
+_MATRICES = ("K", "intrinsics", "intrinsic_matrix")
 _RIGID_TOLERANCE = 1e-3
 # What is said of a recording whose cameras lack a key.
 _ASSUMED = {
@@ -88,7 +90,12 @@ def read(path: Path, limits: Limits) -> Recording:
             except parsing.BadRow as error:
                 nameless.append(Reject(source, None, f"names no image: {error}"))
                 continue
-            rows.append((source, image, (world_T_file, content | row)))
+            try:
+                stated = _with_matrix(content | row)
+            except parsing.BadRow as error:
+                nameless.append(Reject(source, None, str(error)))
+                continue
+            rows.append((source, image, (world_T_file, stated)))
             if file.name == _TEST_FILE:
                 tested.add(image)
         listed = content.get("test_filenames")
@@ -104,6 +111,15 @@ def read(path: Path, limits: Limits) -> Recording:
     # Rows without an image are of no folder: they are listed once, with the first image's recording.
     is_first = bool(rows) and rows[0][0] in {source for source, *_ in own}
     return replace(recording, rejects=[*recording.rejects, *nameless]) if is_first else recording
+
+
+def _with_matrix(row: dict[str, Any]) -> dict[str, Any]:
+    """A row whose intrinsics are a matrix, with the keys that others have."""
+    matrix = next((key for key in _MATRICES if key in row), None)
+    if matrix is None or "fl_x" in row:
+        return row
+    (fx, _, cx), (_, fy, cy), _ = parsing.numbers(row, matrix, 9).reshape(3, 3).tolist()
+    return row | {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
 
 
 def _image(data_set: Path, row: Any) -> Path:
@@ -132,6 +148,9 @@ def _pose(row: dict[str, Any]) -> Array:
     # Beyond what a pose may be, a product with it would only warn; import rejects it by its own numbers.
     if not (np.abs(pose) < 1e100).all():
         raise parsing.BadRow("transform_matrix has a value that isn't finite or is too large")
+    scale = float(np.cbrt(np.linalg.det(pose[:3, :3])))
+    if scale > 0 and rigidity_error(unscaled := make_pose(pose[:3, :3] / scale, pose[:3, 3])) < _RIGID_TOLERANCE:
+        return unscaled
     return pose
 
 

@@ -153,6 +153,25 @@ def test_any_bytes_end_in_a_message(data: bytes) -> None:
             read_all(root.parent)
 
 
+def test_nerfstudio_matrices_of_intrinsics_and_scaled_rotations(tmp_path: Path) -> None:
+    walk = make_walk(4)
+
+    def state(content: dict[str, Any]) -> None:
+        for frame in content["frames"]:
+            fx, fy, cx, cy = (frame.pop(key) for key in ("fl_x", "fl_y", "cx", "cy"))
+            frame["K"] = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
+            pose = np.array(frame["transform_matrix"])
+            pose[:3, :3] *= 0.002
+            frame["transform_matrix"] = pose.tolist()
+
+    raw = changed(tmp_path, walk, state)
+    assert not raw.notes or not any("isn't stated" in note or "camera_angle_x" in note for note in raw.notes)
+    for frame, i in zip(raw.frames, walk.seen, strict=True):
+        camera = there(frame.intrinsics)
+        assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx(tuple(walk.camera[i]))
+        np.testing.assert_allclose(there(frame.vio_T_cam), walk.vio_T_cam[i], atol=1e-9)
+
+
 def test_nerfstudio_intrinsics_are_those_stated(tmp_path: Path) -> None:
     def state(content: dict[str, Any]) -> None:
         content |= {"k1": 0.09, "k2": -0.12, "p1": 0.001, "p2": -0.002}
