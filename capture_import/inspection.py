@@ -3,7 +3,7 @@
 import math
 import tempfile
 from collections import Counter
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +28,15 @@ from groundwalk.store.choices import PoseSource
 from groundwalk.store.progress import track
 from groundwalk.store.text import grouped_reasons, printable
 
+Look = Callable[[list[Session], bool, ImageReader], None]
 
-def inspect_capture(path: Path, format_name: str = "auto", unusable: list[str] | None = None) -> Iterator[str]:
+
+def inspect_capture(
+    path: Path, format_name: str = "auto", unusable: list[str] | None = None, look: Look | None = None
+) -> Iterator[str]:
     """Lines about each recording in `path`; reads everything, writes nothing. The ids of recordings that can't be used
-    are added to `unusable`.
+    are added to `unusable`. `look` is called with the sessions of each, whether +y is up in them, and what reads their
+    images, while these are there: archives are unpacked for as long as this runs.
 
     Raises UserError where there is no capture in a known format.
     """
@@ -41,8 +46,10 @@ def inspect_capture(path: Path, format_name: str = "auto", unusable: list[str] |
     with tempfile.TemporaryDirectory() as unpacked:
         reader = ImageReader([root if root.is_dir() else root.parent, Path(unpacked).resolve()], settings.limits)
         for source in find_recordings(path, Path(unpacked), settings.limits, format_name):
-            of_recording, is_usable = yield from _inspect(source, reader, settings)
+            of_recording, is_usable, is_aligned = yield from _inspect(source, reader, settings)
             sessions += of_recording
+            if look is not None:
+                look(of_recording, is_aligned, reader)
             if not is_usable and unusable is not None:
                 unusable.append(source.recording_id)
     _, denser = select_enough(sessions, settings)
@@ -52,7 +59,7 @@ def inspect_capture(path: Path, format_name: str = "auto", unusable: list[str] |
 
 def _inspect(
     source: RecordingSource, reader: ImageReader, settings: ImportSettings
-) -> Generator[str, None, tuple[list[Session], bool]]:
+) -> Generator[str, None, tuple[list[Session], bool, bool]]:
     raw = source.read(settings.limits)
     count = sum(frame.image is not None for frame in raw.frames)
     sessions = sound_sessions(
@@ -84,7 +91,7 @@ def _inspect(
         yield f"  warning    {fault.text}"
     why_unusable = _why_unusable(sessions, raw, check, implausible)
     yield f"  status     {why_unusable or _status(sessions, check, gravity.is_aligned, len(implausible))}"
-    return sessions, why_unusable is None
+    return sessions, why_unusable is None, gravity.is_aligned
 
 
 def _health(sessions: Sequence[Session], settings: ImportSettings) -> Iterator[str]:

@@ -80,7 +80,7 @@ COMMANDS = {
         )
     ],
     "Captures, exports and checks": [
-        Command("inspect", "Show what a capture holds, without import.", "capture_import.__main__", "inspect"),
+        Command("inspect", "Show what a capture holds, without import.", "inspecting"),
         Command("formats", "List the capture formats.", "capture_import.__main__", "formats"),
         Command("export", "Export ground truth, or a regressor for a phone.", "export.__main__"),
         Command("locate", "Localise images in a map, or by a regressor.", "localisation.locate"),

@@ -16,6 +16,7 @@ from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.templating import from_template
 from groundwalk.reports.verdict import State, Verdict, drift_by_distance
 from groundwalk.reports.walk_map import data_address, draw, frame_data, thumbnail
+from groundwalk.store.choices import QualityClass
 from groundwalk.store.tables import scale_warning
 
 _SHEET = 8  # pictures that show what a capture is of
@@ -98,6 +99,10 @@ def section(
     """A scene's part of the page, as far as its stages are finished. UserError where an image can't be read."""
     frames = scene.frames.sort_values(["session_id", "t_ns"], kind="stable")
     chosen = frames.iloc[evenly(len(frames), _SHEET)] if len(frames) else frames
+    meanings = [
+        f"no ground truth: {reason}" if quality == QualityClass.NONE else f"class {quality}"
+        for quality, reason in zip(verdict.frames["quality"], verdict.frames["reason"], strict=True)
+    ]
     aligned, fused = "align" in scene.stages, "fuse" in scene.stages
     grids: dict[str, Grid | None] = {
         "headline": details.headline(scene, localiser_errors),
@@ -123,7 +128,7 @@ def section(
             (thumbnail(image_path(frame["image"]), frame["gravity_x"], frame["gravity_y"]), str(frame["frame_id"]))
             for _, frame in chosen.iterrows()
         ],
-        walk=draw(scene, verdict),
+        walk=draw(scene.name, scene.unit.symbol, verdict.frames.assign(meaning=meanings)),
         frames=frame_data(scene, verdict, image_path),
         checks_plot=data_address("png", scene.checks_plot.read_bytes()) if scene.checks_plot else "",
         control_plot=data_address("png", scene.control_plot.read_bytes()) if scene.control_plot else "",

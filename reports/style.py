@@ -97,27 +97,34 @@ def log_axis(axis: Axis) -> None:
 
 
 def save(figure: Figure, folder: Path, name: str) -> str:
-    """Write <name>.png (on white), <name>.pdf with its fonts, and <name>.svg; the SVG, whose text takes the colour of
-    the page around it, is returned too. The same figure gives the same bytes."""
-    with applied(), mpl.rc_context({"svg.hashsalt": name}):
-        # By the canvases, as savefig draws everything twice. The layout alone is worked out twice: the first changes
-        # which ticks an axis has, and so how wide they are.
-        layout = figure.get_layout_engine()
-        if layout is not None:
-            layout.execute(figure)
-        background = figure.get_facecolor()
+    """Write <name>.png (on white), <name>.pdf with its fonts, and <name>.svg, which is returned, too: `inline_svg`. The
+    same figure gives the same bytes."""
+    svg = inline_svg(figure, name)  # lays the figure out
+    background = figure.get_facecolor()
+    with applied():
+        # By the canvases, as savefig draws everything twice.
         figure.set_dpi(150)
         figure.set_facecolor("white")
         FigureCanvasAgg(figure).print_png(folder / f"{name}.png", metadata={"Software": None})
         figure.set_facecolor(background)
+        FigureCanvasPdf(figure).print_pdf(folder / f"{name}.pdf", metadata={"CreationDate": None})
+    (folder / f"{name}.svg").write_text(svg, encoding="utf-8")
+    return svg
+
+
+def inline_svg(figure: Figure, name: str) -> str:
+    """A figure as SVG that can stand in HTML; its text takes the colour of the page around it. Lays the figure out."""
+    with applied(), mpl.rc_context({"svg.hashsalt": name}):
+        # The layout alone is worked out twice: the first changes which ticks an axis has, and so how wide they are.
+        layout = figure.get_layout_engine()
+        if layout is not None:
+            layout.execute(figure)
+            layout.execute(figure)
         # The layout stands now, and takes as long as drawing.
         figure.set_layout_engine("none")
-        FigureCanvasPdf(figure).print_pdf(folder / f"{name}.pdf", metadata={"CreationDate": None})
         buffer = io.StringIO()
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
     svg = buffer.getvalue()
     # Inside HTML there's no place for an XML prologue, and no name may be that of another figure's element.
     svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
-    svg = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", svg)
-    (folder / f"{name}.svg").write_text(svg, encoding="utf-8")
-    return svg
+    return re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", svg)

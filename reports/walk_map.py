@@ -17,7 +17,6 @@ from groundwalk.geometry.rows import evenly
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.style import model_colours
 from groundwalk.reports.verdict import Verdict
-from groundwalk.store.choices import QualityClass
 from groundwalk.store.images import small_jpeg
 from groundwalk.store.progress import track
 from groundwalk.store.tables import poses_of
@@ -74,25 +73,23 @@ def _long_side_level(xy_N2: Array) -> Array:
     return np.array([[x, y], [y, -x]])
 
 
-def draw(scene: SceneInputs, verdict: Verdict) -> str:
-    """The map as SVG: VIO's path, the ground truth's, and a mark a frame, whose class is its quality; frames without
-    ground truth stand where VIO has them. Empty where no frame has a place."""
-    frames = verdict.frames
+def draw(name: str, unit: str, frames: pd.DataFrame) -> str:
+    """The map as SVG: VIO's path, the ground truth's, and a mark a frame, whose class is its quality and whose title
+    its `meaning`; frames without ground truth stand where VIO has them. Empty where no frame has a place."""
     plan = plan_of(frames)
     if plan is None:
         return ""
     truth, vio = (plan.drawn(frames[list(xyz)].to_numpy(float)) for xyz in _PLACES)
     (width, height), radius = plan.size, float(np.clip(130 / math.sqrt(len(frames)), 4.5, 11))
-    label = f"{scene.name} from above: {len(frames)} frames"
+    label = f"{name} from above: {len(frames)} frames"
     parts = [f'<svg class="walk" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(label)}">']
-    for name, path in (("vio", vio), ("truth", truth)):
+    for kind, path in (("vio", vio), ("truth", truth)):
         for rows in frames.groupby("session_id").indices.values():
-            parts += [f'<polyline class="{name}" points="{line}"/>' for line in _lines(path[rows])]
+            parts += [f'<polyline class="{kind}" points="{line}"/>' for line in _lines(path[rows])]
     parts.append('<path class="answers"/>')
     for row, (x, y) in enumerate(np.where(np.isnan(truth), vio, truth)):
         if math.isfinite(x):
-            frame_id, reason, quality = (frames[name][row] for name in ("frame_id", "reason", "quality"))
-            meaning = f"no ground truth: {reason}" if quality == QualityClass.NONE else f"class {quality}"
+            frame_id, meaning, quality = (frames[column][row] for column in ("frame_id", "meaning", "quality"))
             title = escape(f"{frame_id}: {meaning}")
             mark = f'class="q-{quality}" data-row="{row}" cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}"'
             parts.append(f"<circle {mark}><title>{title}</title></circle>")
@@ -101,7 +98,7 @@ def draw(scene: SceneInputs, verdict: Verdict) -> str:
     length = float(max(m * power for m in (1, 2, 5) if m * power <= most))  # round, of the scale bar
     right, bottom = width - 12, height - 12
     parts.append(f'<path class="bar" d="M{right - plan.scale * length:.1f} {bottom:.1f}H{right:.1f}"/>')
-    parts.append(f'<text x="{right:.1f}" y="{bottom - 8:.1f}">{length:g} {scene.unit.symbol}</text></svg>')
+    parts.append(f'<text x="{right:.1f}" y="{bottom - 8:.1f}">{length:g} {unit}</text></svg>')
     return "".join(parts)
 
 

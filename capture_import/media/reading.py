@@ -2,7 +2,7 @@
 
 import math
 import stat
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -17,11 +17,12 @@ from groundwalk.capture_import.media.images import (
     Gray,
     check_image,
     decode_gray,
+    decode_rgb,
     measured,
     shrunk,
 )
 from groundwalk.capture_import.media.upright import turned_pixels
-from groundwalk.capture_import.media.video import decode, gray_pixels
+from groundwalk.capture_import.media.video import decode, gray_pixels, rgb_pixels
 from groundwalk.store.parallel import in_parallel
 
 Frame = TypeVar("Frame", bound=RawFrame)
@@ -48,15 +49,28 @@ class ImageReader:
     def gray(self, frames: Sequence[Frame], long_side: int) -> Iterator[tuple[Frame, Gray]]:
         """Frames that have passed the check, in order, each with its image (H, W) scaled down to the long side. A
         damaged video may not give a frame again."""
-        working: Iterator[tuple[Frame, Gray]]
+        return self._pictures(frames, long_side, _working_gray, lambda data: decode_gray(data, WORKING_LONG_SIDE))
+
+    def rgb(self, frames: Sequence[Frame], long_side: int) -> Iterator[tuple[Frame, Gray]]:
+        """As `gray`, in colour (H, W, 3)."""
+        return self._pictures(frames, long_side, rgb_pixels, lambda data: decode_rgb(data, long_side))
+
+    def _pictures(
+        self,
+        frames: Sequence[Frame],
+        long_side: int,
+        of_video: Callable[[av.VideoFrame], Gray],
+        of_file: Callable[[bytes], Gray],
+    ) -> Iterator[tuple[Frame, Gray]]:
+        pictures: Iterator[tuple[Frame, Gray]]
         if video := video_of(frames):
             of_index = {frame.image.index: frame for frame in frames if isinstance(frame.image, VideoFrame)}
             decoded = decode(video, set(of_index), self.limits)
-            working = ((of_index[index], _working_gray(picture)) for index, picture in decoded)
+            pictures = ((of_index[index], of_video(picture)) for index, picture in decoded)
         else:
-            working = in_parallel(lambda frame: (frame, decode_gray(self._bytes(frame), WORKING_LONG_SIDE)), frames)
-        for frame, gray in working:
-            yield frame, turned_pixels(shrunk(gray, long_side), frame.quarters)
+            pictures = in_parallel(lambda frame: (frame, of_file(self._bytes(frame))), frames)
+        for frame, picture in pictures:
+            yield frame, turned_pixels(shrunk(picture, long_side), frame.quarters)
 
     def read(self, path: Path, max_bytes: float = math.inf) -> bytes:
         """A file's bytes; BadImage for one that is no ordinary file, leads out of `roots`, or is too large."""
