@@ -4,9 +4,10 @@ import os
 import re
 import shlex
 from collections.abc import Iterable, Sequence
+from itertools import islice
 from pathlib import Path
 
-from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.formats import Format, is_in
 from groundwalk.capture_import.image_files import images_in, in_order, is_image
 from groundwalk.capture_import.media.video import is_video
 from groundwalk.capture_import.parsing import first_bytes
@@ -36,7 +37,7 @@ def no_capture(root: Path, formats: Sequence[Format], chosen: Format | None, oth
         do = f"{groundwalk_command()} inspect {shlex.quote(str(around[0]))}"
         return UserError(what, where=root, found=f"a part of the recording {around[0]}", do=do)
     nearest = _nearest(root, formats)
-    logs = list(_unknown_logs(root))
+    logs = list(islice(_unknown_logs(root), _MAX_NEAREST))
     has_images = any(is_image(path) or is_video(path) for path in root.rglob("*"))
     alone = f"; or read the images without poses: {setting_of('import', _IMAGES_ALONE)}" if has_images else ""
     list_them = f"{groundwalk_command()} formats lists what is recognised"
@@ -88,10 +89,8 @@ def _nearest(root: Path, formats: Iterable[Format]) -> list[str]:
             )
             if is_told and not all(here):
                 place = "" if folder == root else f" ({folder.relative_to(root)})"
-                found, missing = (
-                    [name.replace("|", " or ") for name, is_here in names if is_here == which]
-                    for which in (True, False)
-                )
+                found = [next(n for n in name.split("|") if is_in(folder, n)) for name, is_here in names if is_here]
+                missing = [name.replace("|", " or ") for name, is_here in names if not is_here]
                 verbs = [f"{in_words(n)} {'is' if len(n) == 1 else 'are'}" for n in (found, missing)]
                 partly.append((-sum(here) / len(here), f"{form.label}{place}: {verbs[0]} here, {verbs[1]} not"))
     return [text for _, text in sorted(partly, key=lambda item: item[0])[:_MAX_NEAREST]]

@@ -53,10 +53,11 @@ class Format(Entry):
         """Which of `files` a folder has, or whether a file's name is one."""
         if self.is_file:
             return [path.is_file() and fnmatch.fnmatchcase(path.name, name) for name in self.files]
-        return [any(_is_in(path, name) for name in names.split("|")) for names in self.files]
+        return [any(is_in(path, name) for name in names.split("|")) for names in self.files]
 
 
-def _is_in(folder: Path, name: str) -> bool:
+def is_in(folder: Path, name: str) -> bool:
+    """Whether a folder has a name of `Format.files`, without alternatives."""
     if "*" in name:
         return any(True for _ in folder.glob(name))
     return (folder / name).is_dir() if name.endswith("/") else (folder / name).is_file()

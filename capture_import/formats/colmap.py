@@ -1,4 +1,5 @@
-"""COLMAP: a model (`cameras` and `images`, `.bin` or `.txt`) in `sparse/0/`, `sparse/` or the folder, over images.
+"""COLMAP: a model (`cameras` and `images`, `.bin` or `.txt`) in `sparse/0/`, `sparse/` or the folder, over images;
+or in the same places of a folder `colmap`, `distorted`, `output` or `model` beside them.
 
 Documented at https://colmap.github.io/format.html. What matters:
 
@@ -8,6 +9,7 @@ Documented at https://colmap.github.io/format.html. What matters:
   ones become FULL_OPENCV's coefficients; images of others are left out;
 - nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
 - the images' folder is the one in which the model's names lie: `images/`, or any other beside the model;
+- each image has its own pose, also where cameras form a rig: `rigs` and `frames` (COLMAP 3.12) aren't needed;
 - where `sparse/` holds several models, each has a world of its own: the largest is read, of our own exports all;
 - `test.txt`, which our exports write, says which images are for testing;
 - frames have no times, and the order of names isn't one of time.
@@ -58,6 +60,8 @@ _MODELS = {
     "THIN_PRISM_FISHEYE": (12, 0),
 }
 _LONGEST_NAME = 1 << 12
+# Folders of tools in which a model lies while its images lie beside them: nerfstudio, 3D Gaussian splatting, scripts.
+_WORKSPACES = ("colmap", "distorted", "output", "model")
 
 
 class _Camera(NamedTuple):
@@ -92,12 +96,17 @@ def _images_of(path: Path) -> Path | None:
 
 
 def _read_data_set(path: Path, limits: Limits) -> _DataSet | None:
-    """What a folder's models hold; None where it has none."""
-    sparse = path / "sparse"
-    below = in_order(p for p in sparse.iterdir() if p.is_dir()) if sparse.is_dir() else []
-    folders = tuple(folder for folder in (*below, sparse, path) if _suffix_in(folder))
-    files = [file for folder in folders for name in ("cameras.*", "images.*") for file in folder.glob(name)]
-    return _read_models(path, folders, limits, tuple(f.stat().st_mtime_ns for f in (path, *files))) if folders else None
+    """What a folder's models hold; None where it has none, nor a workspace in it one of images that lie beside that."""
+    for workspace in (path, *(path / name for name in _WORKSPACES)):
+        sparse = workspace / "sparse"
+        below = in_order(p for p in sparse.iterdir() if p.is_dir()) if sparse.is_dir() else []
+        if folders := tuple(folder for folder in (*below, sparse, workspace) if _suffix_in(folder)):
+            files = [file for folder in folders for name in ("cameras.*", "images.*") for file in folder.glob(name)]
+            data_set = _read_models(path, folders, limits, tuple(f.stat().st_mtime_ns for f in (path, *files)))
+            _, listed = next(iter(data_set.models.values()))
+            if workspace == path or _count(data_set.images, (image.name for image in listed)):
+                return data_set
+    return None
 
 
 def _suffix_in(folder: Path) -> str:
@@ -276,7 +285,10 @@ FORMAT = Format(
     id="colmap",
     label="COLMAP model",
     meaning="images, reference poses",
-    files=("sparse/*/images.*|sparse/images.*|images.bin|images.txt", "images/|*/*.jpg|*/*.png"),
+    files=(
+        "sparse/*/images.*|sparse/images.*|images.bin|images.txt|*/sparse/*/images.*",
+        "images/|*/*.jpg|*/*.png",
+    ),
     looks_for="cameras and images (.bin or .txt) in sparse/0/, beside the folder of images",
     detect=detect,
     read=read,

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -15,10 +16,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundwalk.capture_import.capture import Intrinsics, Limits, Recording
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, Recording
 from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.colmap import _Camera, _intrinsics
+from groundwalk.geometry.poses import inverse
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.tables import poses_of
 from tests.capture_import.capture_writers import Walk, make_walk, write_colmap, write_nerfstudio
@@ -281,3 +283,39 @@ def test_images_of_paths_elsewhere_are_found_here_and_a_last_row_may_be_left_out
     assert len(raw.frames) == walk.has_image.sum() and not raw.rejects
     poses = np.array([frame.vio_T_cam for frame in raw.frames])
     np.testing.assert_allclose(poses, walk.vio_T_cam[walk.has_image], atol=1e-6)
+
+
+@pytest.mark.parametrize("place", ["colmap/sparse/0", "distorted/sparse/0", "output/sparse", "model"])
+def test_a_model_in_a_workspace_beside_its_images_is_read(tmp_path: Path, place: str) -> None:
+    walk = make_walk()
+    write_colmap(tmp_path / "scene", walk)
+    for copy in ("depth", "mvs/images"):  # of the same names
+        shutil.copytree(tmp_path / "scene" / "images", tmp_path / "scene" / copy)
+    (tmp_path / "scene" / place).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / "scene" / "sparse" / "0").rename(tmp_path / "scene" / place)
+    (raw,) = read_all(tmp_path / "scene")
+    np.testing.assert_allclose([f.vio_T_cam for f in raw.frames], walk.vio_T_cam[walk.seen], atol=1e-9)
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_each_camera_of_a_rig_is_a_recording_with_its_own_poses(tmp_path: Path, text: bool) -> None:
+    options = pycolmap.SyntheticDatasetOptions(
+        num_rigs=1, num_cameras_per_rig=2, num_frames_per_rig=4, num_points3D=20, camera_width=96, camera_height=72
+    )
+    model = pycolmap.synthesize_dataset(options)
+    poses = {}
+    for image in model.images.values():
+        image.name = f"camera{image.camera_id}/{image.frame_id:04d}.jpg"
+        poses[image.name] = inverse(np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]]))
+        (tmp_path / "images" / image.name).parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(tmp_path / "images" / image.name), np.zeros((72, 96, 3), np.uint8))
+    (tmp_path / "sparse" / "0").mkdir(parents=True)
+    (model.write_text if text else model.write_binary)(tmp_path / "sparse" / "0")
+    assert (tmp_path / "sparse" / "0" / ("rigs.txt" if text else "rigs.bin")).exists()
+    recordings = read_all(tmp_path)
+    assert [len(raw.frames) for raw in recordings] == [4, 4]
+    for raw in recordings:
+        for frame in raw.frames:
+            assert isinstance(frame.image, ImageFile)
+            name = frame.image.path.relative_to(tmp_path / "images").as_posix()
+            np.testing.assert_allclose(frame.vio_T_cam, poses[name], atol=1e-9)
