@@ -52,6 +52,8 @@ def no_capture(root: Path, formats: Sequence[Format], chosen: Format | None, oth
     if logs:
         do = "write frames.jsonl from it, in a few lines: docs/reference/capture-formats.md (from another app's log)"
         do += alone
+    elif images:
+        do = "photos are read from three on, and others in a format that is recognised: " + list_them
     else:
         do = f"{list_them}; any app can write frames.jsonl: docs/reference/capture-formats.md"
     expected = None if chosen is None else f"{chosen.label}: {chosen.recognised_by}"

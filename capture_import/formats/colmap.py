@@ -285,10 +285,7 @@ FORMAT = Format(
     id="colmap",
     label="COLMAP model",
     meaning="images, reference poses",
-    files=(
-        "sparse/*/images.*|sparse/images.*|images.bin|images.txt|*/sparse/*/images.*",
-        "images/|*/*.jpg|*/*.png",
-    ),
+    files=("sparse/*/images.*|sparse/images.*|images.bin|images.txt", "images/|*/*.jpg|*/*.png"),
     looks_for="cameras and images (.bin or .txt) in sparse/0/, beside the folder of images",
     detect=detect,
     read=read,

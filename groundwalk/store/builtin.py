@@ -24,6 +24,7 @@ BUILTIN: dict[str, dict[str, str]] = {
             "euroc",
             "tum",
             "rtabmap",
+            "kitti",
             "seven_scenes",
             "cambridge",
             "colmap",

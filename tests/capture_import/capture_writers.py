@@ -313,6 +313,20 @@ def write_rtabmap(folder: Path, walk: Walk) -> None:
     _write(folder, files)
 
 
+def write_kitti(folder: Path, walk: Walk) -> None:
+    """A sequence of KITTI's with images of camera 2 and poses of camera 0, half a metre to its right."""
+    fx, fy, cx, cy = (walk.camera[0] - [0, 0, 0.5, 0.5]).tolist()
+    cam_T_cam0 = make_pose(np.eye(3), [0.5, 0, 0])
+    pinholes = [f"P0: {fx} 0 {cx} 0 0 {fy} {cy} 0 0 0 1 0", f"P2: {fx} 0 {cx} {fx * 0.5} 0 {fy} {cy} 0 0 0 1 0"]
+    lists = {
+        "calib": pinholes,
+        "times": [repr(t * 1e-9) for t in walk.t_ns.tolist()],
+        "poses": [_row((pose @ cam_T_cam0)[:3].ravel()) for pose in walk.vio_T_cam],
+    }
+    files = {f"{name}.txt": "\n".join(rows).encode() for name, rows in lists.items()}
+    _write(folder, files | {f"image_2/{i:06d}.png": walk.png(i) for i in walk.seen})
+
+
 def write_seven_scenes(folder: Path, walk: Walk) -> None:
     """7-Scenes: a sequence, with the scene's split beside it."""
     files = {f"frame-{i:06d}.pose.txt": b"\n".join(_row(r).encode() for r in p) for i, p in enumerate(walk.vio_T_cam)}
@@ -417,6 +431,7 @@ WRITERS = {
     "tum": Written(write_tum, camera=False),
     "euroc": Written(write_euroc, camera=False),
     "rtabmap": Written(write_rtabmap),
+    "kitti": Written(write_kitti, camera=False),
     "seven_scenes": Written(write_seven_scenes, camera=False, clock=False),
     "cambridge": Written(write_cambridge, camera=False, clock=False),
     "colmap": Written(write_colmap, clock=False),

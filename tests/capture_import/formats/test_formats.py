@@ -83,6 +83,7 @@ IMAGES = {
     "arkit_scenes": "*wide/*.png",
     "tum": "rgb/*",
     "rtabmap": "scan_rgb/*",
+    "kitti": "image_2/*",
     "seven_scenes": "*.color.png",
     "cambridge": "*.[jp][pn]g",
     "colmap": "images/*",
@@ -128,6 +129,19 @@ def test_two_files_of_one_frame_number_are_named(tmp_path: Path) -> None:
     assert len(raw.frames) == 8
     assert {r.source for r in raw.rejects} == {"frame_3.json", "frame_3.jpg", "frame_00004.JPEG"}
     assert raw.rejects[0].reason == "frame_00003.json has the same frame number"
+
+
+def test_kitti_poses_beside_the_sequences_are_read_and_a_sequence_without_is_told(tmp_path: Path) -> None:
+    walk, sequence = make_walk(), tmp_path / "place" / "sequences" / "07"
+    WRITERS["kitti"].write(sequence, walk)
+    (tmp_path / "place" / "poses").mkdir()
+    (sequence / "poses.txt").rename(tmp_path / "place" / "poses" / "07.txt")
+    raw = find_one(tmp_path / "place").read(Limits())
+    assert raw.recording_id == "07" and not raw.is_gravity_aligned
+    np.testing.assert_allclose([frame.vio_T_cam for frame in raw.frames], walk.vio_T_cam, atol=1e-9)
+    shutil.rmtree(tmp_path / "place" / "poses")
+    with pytest.raises(UserError, match=r"KITTI odometry \(sequences/07\): .*image_2/ are here, poses\.txt is not"):
+        find_one(tmp_path / "place")
 
 
 @pytest.mark.parametrize("name", ["stray_scanner", "scan_capture"])
