@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import Session, poses_of
 from groundwalk.capture_import.media.images import encode_jpeg
@@ -205,9 +206,10 @@ def _motion_facts(look: Look, exposures: Array) -> Iterator[tuple[str, str, str]
         return
     blur = look.blur_px(exposures)
     if np.isfinite(blur).any():
-        walking = f"; {np.nanmedian(look.walking_px_s * exposures):.1f} px more by walking past what is 3 m away"
+        walking = f"; {np.nanmedian(look.walking_px_s * exposures):.1f} px more or less, 3 m away, by walking"
         walking = walking if np.isfinite(look.walking_px_s).any() else ""
-        yield f"{np.nanmedian(blur):.1f} px", "blur length by turning, median", _range(blur, "px") + walking
+        what = "blur length of what is far away, by turning, median"
+        yield f"{np.nanmedian(blur):.1f} px", what, _range(blur, "px") + walking
     else:
         usual = np.nanmedian(look.blur_px(_ASSUMED_EXPOSURE_S))
         yield "unknown", "blur length", f"exposure is unknown; {usual:.1f} px by turning if it is 10 ms"
@@ -247,14 +249,14 @@ def _headings(look: Look) -> Array:
     return np.floor((np.arctan2(x, z) / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
 
 
-def _views_near(of: Look, among: Look) -> Array:
+def _views_near(of: Look, among: Look) -> NDArray[np.bool_]:
     """Which images (N, M) look the same way from nearly the same place."""
     a, b = of.poses, among.poses
     both = np.concatenate([a[:, :3, 3], b[:, :3, 3]])
     near = _SAME_PLACE * np.linalg.norm(np.ptp(both, axis=0))
     is_near = np.linalg.norm(a[:, None, :3, 3] - b[None, :, :3, 3], axis=2) <= near
-    result: Array = is_near & (a[:, :3, 2] @ b[:, :3, 2].T > np.cos(np.radians(_SAME_VIEW_DEG)))
-    return result
+    looks_same_way = a[:, :3, 2] @ b[:, :3, 2].T > np.cos(np.radians(_SAME_VIEW_DEG))
+    return np.asarray(is_near & looks_same_way, bool)
 
 
 def _few(look: Look) -> Look:
@@ -262,8 +264,8 @@ def _few(look: Look) -> Look:
     return Look(**{**vars(look), "poses": look.poses[evenly(len(look.poses), _MAX_MARKS)]})
 
 
-def _sees_same(look: Look, other: Look) -> Array:
-    return _views_near(_few(look), _few(other)).any(axis=1)
+def _sees_same(look: Look, other: Look) -> NDArray[np.bool_]:
+    return np.asarray(_views_near(_few(look), _few(other)).any(axis=1), bool)
 
 
 def _revisited(look: Look) -> float:
@@ -360,7 +362,8 @@ def _advice_on_motion(look: Look) -> Iterator[tuple[str, str]]:
         for values in (look.blur_px(look.exposures_s), look.turning_deg_s, look.speed_m_s)
     )
     if blur > _BLURRED_PX:
-        yield "turn more slowly, or have more light", f"a tenth of images blur by {blur:.0f} px or more"
+        why = f"in a tenth of images what is far away blurs by {blur:.0f} px or more"
+        yield "turn more slowly, or have more light", why
     elif turning > _FAST_DEG_S:
         yield "turn more slowly", f"a tenth of images turn at {turning:.0f}° a second or more"
     if speed > _FAST_M_S:

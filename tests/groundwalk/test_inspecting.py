@@ -53,7 +53,7 @@ def test_blur_and_skew_are_those_of_the_turn(tmp_path: Path) -> None:
     np.testing.assert_allclose(look.speed_m_s, 1.0, rtol=1e-3)
     page = capture_page("walk", [look], lines)
     assert f"{np.median(focal) * TURN_RAD_S * READOUT_S:.1f} px</b><span>row skew by turning" in page
-    assert "over a readout of 30.0 ms" in page and "blur length by turning, median" in page
+    assert "over a readout of 30.0 ms" in page and "blur length of what is far away" in page
 
 
 def test_what_is_not_stated_is_said_to_be_unknown_and_the_dark_is_told(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.capture_import.capture import ImageFile, Limits
+from groundwalk.capture_import.capture import ImageFile, Limits, poses_of
 from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats import FORMATS
@@ -138,7 +138,7 @@ def test_kitti_poses_beside_the_sequences_are_read_and_a_sequence_without_is_tol
     (sequence / "poses.txt").rename(tmp_path / "place" / "poses" / "07.txt")
     raw = find_one(tmp_path / "place").read(Limits())
     assert raw.recording_id == "07" and not raw.is_gravity_aligned
-    np.testing.assert_allclose([frame.vio_T_cam for frame in raw.frames], walk.vio_T_cam, atol=1e-9)
+    np.testing.assert_allclose(poses_of(raw.frames), walk.vio_T_cam, atol=1e-9)
     shutil.rmtree(tmp_path / "place" / "poses")
     with pytest.raises(UserError, match=r"KITTI odometry \(sequences/07\): .*image_2/ are here, poses\.txt is not"):
         find_one(tmp_path / "place")

@@ -17,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, Recording
+from groundwalk.capture_import.capture import poses_of as raw_poses_of
 from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.colmap import _Camera, _intrinsics
@@ -294,7 +295,7 @@ def test_a_model_in_a_workspace_beside_its_images_is_read(tmp_path: Path, place:
     (tmp_path / "scene" / place).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / "scene" / "sparse" / "0").rename(tmp_path / "scene" / place)
     (raw,) = read_all(tmp_path / "scene")
-    np.testing.assert_allclose([f.vio_T_cam for f in raw.frames], walk.vio_T_cam[walk.seen], atol=1e-9)
+    np.testing.assert_allclose(raw_poses_of(raw.frames), walk.vio_T_cam[walk.seen], atol=1e-9)
 
 
 @pytest.mark.parametrize("text", [False, True])
@@ -318,4 +319,4 @@ def test_each_camera_of_a_rig_is_a_recording_with_its_own_poses(tmp_path: Path, 
         for frame in raw.frames:
             assert isinstance(frame.image, ImageFile)
             name = frame.image.path.relative_to(tmp_path / "images").as_posix()
-            np.testing.assert_allclose(frame.vio_T_cam, poses[name], atol=1e-9)
+            np.testing.assert_allclose(there(frame.vio_T_cam), poses[name], atol=1e-9)
