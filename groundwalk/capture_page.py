@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import Session, poses_of
+from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.media.images import encode_jpeg
 from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.capture_import.media.upright import quarters_to_upright, turned_pixels
@@ -21,11 +22,12 @@ from groundwalk.reports import style
 from groundwalk.reports.grids import html_table, plain_grid
 from groundwalk.reports.templating import plain_page
 from groundwalk.reports.walk_map import data_address, draw
-from groundwalk.store.choices import PoseSource, QualityClass, Rejected
+from groundwalk.store.choices import QualityClass, Rejected
 
 _SHOWN, _THUMBNAIL_PX = 24, 240
 _MAX_MARKS = 800
 _GAP_S = 1.5  # between poses; charuco's are half a second apart
+_FOLDERS_OF_ONE_WORLD = ("colmap", "nerfstudio", "cambridge")
 _SECTORS = 12  # of 30 degrees, all round
 _ASSUMED_M, _ASSUMED_EXPOSURE_S, _ASSUMED_READOUT_S = 3.0, 0.01, 0.02
 # One place seen twice: looking the same way, this fraction of the extent apart.
@@ -189,7 +191,6 @@ def _facts(look: Look, looks: Sequence[Look]) -> Iterator[tuple[str, str, str]]:
     else:
         yield "unknown", "exposure", "the log states none"
     yield from _motion_facts(look, exposures)
-    # Of the sessions of one VIO each has a world of its own: nothing but images could tell.
     if len(looks) > 1:
         others = [other for other in looks if other is not look and _same_world(look, other)]
         if others:
@@ -277,9 +278,12 @@ def _revisited(look: Look) -> float:
 
 
 def _same_world(look: Look, other: Look) -> bool:
-    """References of one format in a folder have one world; each odometry has its own."""
+    """Whether two sessions are folders of images of one data set; each odometry and each data set has its own world."""
     a, b = look.session.recording, other.session.recording
-    return a.pose_source == b.pose_source == PoseSource.REFERENCE and a.format == b.format
+    if a.format != b.format or a.format not in _FOLDERS_OF_ONE_WORLD or a.folder.parent != b.folder.parent:
+        return False
+    # A data set that is one recording has the file of poses in its folder.
+    return not any(FORMATS[r.format].has(r.folder)[0] for r in (a, b))
 
 
 def _path(look: Look) -> str:
