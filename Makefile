@@ -120,9 +120,6 @@ bench-phone: $(installed) #! Exported regressors without PyTorch: bytes, millise
 bench-regressors: $(installed) #! PN, MS-T and PN-Lite beside each other, 3 seeds (docs/results); finished runs of Church and Office; hours
 	@$(py) -m benchmarks.regressors
 
-bench-cited: $(installed) #! The regressors that the paper cites beside PN, few epochs (docs/results); a finished run of Church; half an hour
-	@$(py) -m benchmarks.cited_regressors
-
 bench-recovery: $(installed) #! How fusion methods bear what goes wrong in a walk, and how they start
 	@$(py) -m benchmarks.fusion_recovery
 
@@ -170,4 +167,4 @@ help-dev: #! This text
 	@grep -hE '^[a-z-]+:.*#! ' $(MAKEFILE_LIST) | sed 's/:.*#! /\t/' | expand -t 22 | sed 's/^/  /'
 
 .NOTPARALLEL:
-.PHONY: all judge $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench-localise bench-phone bench-regressors bench-cited bench-recovery bench-steps bench-gates bench-real bench-cameras bench-blurring docs docs-site pictures test-page lock help help-dev
+.PHONY: all judge $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench-localise bench-phone bench-regressors bench-recovery bench-steps bench-gates bench-real bench-cameras bench-blurring docs docs-site pictures test-page lock help help-dev

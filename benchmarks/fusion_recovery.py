@@ -21,7 +21,7 @@ import typer
 from numpy.typing import NDArray
 
 from benchmarks import fusion_inputs as inputs
-from benchmarks.regressor_errors.fit import REGRESSORS
+from benchmarks.regressor_errors.model import REGRESSORS
 from benchmarks.results import circumstances, markdown_table
 from groundwalk.fusion.evaluation.fuse import Run, fuse, pose_errors
 from groundwalk.fusion.evaluation.leaderboard import RULE, within_bounds

@@ -15,7 +15,7 @@ import typer
 from benchmarks import fusion_inputs as inputs
 from benchmarks.fusion_inputs import Case
 from benchmarks.real_predictions import DEVELOPMENT, STRIDES, real_cases
-from benchmarks.regressor_errors.fit import REGRESSORS
+from benchmarks.regressor_errors.model import REGRESSORS
 from groundwalk.fusion.walk import Walk
 from groundwalk.simulation.scenes import NAMES
 from groundwalk.store import UserError

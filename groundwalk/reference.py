@@ -1,7 +1,5 @@
-"""The generated pages of docs: the reference from the code that defines it, and results from committed data."""
+"""The generated pages of docs: the reference, from the code that defines it."""
 
-import dataclasses
-import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from enum import Enum
 from pathlib import Path
@@ -14,7 +12,6 @@ from groundwalk.cli import COMMANDS, stages
 from groundwalk.fusion.methods import METHODS
 from groundwalk.localisation.localisers import LOCALISERS
 from groundwalk.simulation.settings import SimulateSettings
-from groundwalk.simulation.vio import FIT_FILE, VioModel
 from groundwalk.store.choices import FailureCause
 from groundwalk.store.errors import UserError
 from groundwalk.store.reference import reference as tables_page
@@ -57,13 +54,6 @@ What has no standard error is counted or measured. The limits are [settings](set
 
 {WRITTEN_BY}
 """
-_DRIFT_HEAD = """# How far phones' VIO drifts
-
-Written by `make docs` from `simulation/vio_fit.toml`, which `python -m benchmarks.vio_drift.fit` measures on real
-recordings; a test holds that the recordings still give it. Intervals are of 68 %; where one reaches 0, the value is its
-upper end, a bound. What the recordings are and how it is measured: [VIO drift](../explanation/vio-drift.md).
-
-"""
 
 
 def write_reference(docs: Path) -> list[Path]:
@@ -89,19 +79,7 @@ def reference_pages() -> dict[str, str]:
         "reference/settings.md": _SETTINGS_HEAD + "".join(f"\n## {a}\n\n{b}\n\n{c}" for a, b, c in _sections()),
         "reference/commands.md": _COMMANDS_HEAD + "".join(_commands()),
         "reference/checks.md": _CHECKS_HEAD + "".join(_checks()),
-        "results/vio-drift.md": _DRIFT_HEAD + _vio_drift(),
     }
-
-
-def _vio_drift() -> str:
-    """What was measured of the drift of phones' VIO, from the committed fit."""
-    fit, rows = tomllib.loads(FIT_FILE.read_text(encoding="utf-8")), []
-    for field in dataclasses.fields(VioModel):
-        p = fit[field.name]
-        interval = f"{p['low']} to {p['high']}" if p["low"] < p["high"] else ""
-        told = (_cell(field.metadata["meaning"]), p["value"], interval, p["unit"], p["samples"], _cell(p["source"]))
-        rows.append([f"`{field.name}`", *told])
-    return markdown_table("parameter | meaning | value | 68 % interval | unit | samples | source", rows)
 
 
 def _commands() -> Iterator[str]:

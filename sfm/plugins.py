@@ -1,19 +1,14 @@
-"""What other packages can add to sfm, mappers and retrieval: their records, groundwalk's own, and the registries."""
+"""What other packages can add to sfm, mappers: their record, groundwalk's own, and the registry."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from groundwalk.store.registry import Entry, Lazy, Registry, callable_faults
 
 if TYPE_CHECKING:
     import pycolmap
-
-Descriptors = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -47,22 +42,7 @@ class MapperEntry(Entry):
         yield from callable_faults(self, ["run"])
 
 
-@dataclass(frozen=True, kw_only=True)
-class RetrievalEntry(Entry):
-    """A way to describe images by their features: `describe(descriptors, seed)` gives unit vectors (N, D) of N images,
-    whose dot product is their similarity; zero for an image without features."""
-
-    noun: ClassVar[str] = "retrieval"
-
-    describe: Callable[[Sequence[Descriptors], int], NDArray[np.float32]] = field(repr=False)
-
-    def faults(self) -> Iterable[str]:
-        yield from super().faults()
-        yield from callable_faults(self, ["describe"])
-
-
 MAPPERS = Registry("groundwalk.mappers", MapperEntry)
-RETRIEVALS = Registry("groundwalk.retrieval", RetrievalEntry)
 
 INCREMENTAL = MapperEntry(
     id="incremental",
@@ -78,10 +58,4 @@ HIERARCHICAL = MapperEntry(
     label="hierarchical",
     meaning="COLMAP's hierarchical mapping",
     run=Lazy("groundwalk.sfm.mapping.mappers:hierarchical"),
-)
-VLAD = RetrievalEntry(
-    id="vlad",
-    label="VLAD",
-    meaning="VLAD over words learned from the scene",
-    describe=Lazy("groundwalk.sfm.pairs.retrieval:vlad"),
 )

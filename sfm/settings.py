@@ -5,11 +5,10 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from groundwalk.geometry.shutter import MAX_READOUT_S
-from groundwalk.sfm.plugins import MAPPERS, RETRIEVALS
+from groundwalk.sfm.plugins import MAPPERS
 from groundwalk.store import Settings
 
 MapperName = Annotated[str, AfterValidator(MAPPERS.known)]
-RetrievalName = Annotated[str, AfterValidator(RETRIEVALS.known)]
 LensSource = Literal["auto", "stated"]
 RefineCameras = Literal["auto", "never"]
 
@@ -31,9 +30,6 @@ class SfmSettings(Settings):
         ge=0,
         description="frames of other sessions, of most similar images, that a frame is matched to, and of its own "
         "recording where that has no VIO; half as many that match a third frame in common",
-    )
-    retrieval: RetrievalName = Field(
-        "vlad", description="what describes images to find similar ones (docs/explanation/sfm.md)"
     )
     mapper: MapperName = Field("incremental", description="incremental, global or hierarchical")
     retry: bool = Field(True, description="try other pairs and more features where frames are missing or wrong")

@@ -5,12 +5,10 @@ degrees and metres a metre, that vary over `correlation_m`, and the recorded pos
 integrated with these errors. So two poses close by keep their relative pose and the error grows with distance.
 Because it hangs on the path and not on the frames, one seed gives one drift whatever the frame rate.
 
-`docs/explanation/vio-drift.md` says how each number was measured; `benchmarks.vio_drift.fit` measures it again.
+`docs/explanation/vio-drift.md` says how each number was measured.
 """
 
-import tomllib
 from dataclasses import dataclass, field, fields
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +19,6 @@ from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, inverse, make_pose, yaw_rotation
 
 Times = NDArray[np.int64]
-
-FIT_FILE = Path(__file__).with_name("vio_fit.toml")
 
 # Each effect has its own stream of random numbers, so that turning one off leaves the others as they were.
 _SESSION, _YAW, _POSITION, _JITTER, _JUMPS, _INTERRUPTIONS = range(6)
@@ -67,13 +63,24 @@ class VioModel:
             raise GeometryError(f"VIO model: mean jump {self.jump_mean_m} m is below the least, {self.jump_min_m} m")
 
 
-def read_model(path: Path) -> VioModel:
-    """The model that `python -m benchmarks.vio_drift.fit` wrote to a TOML file."""
-    entries = tomllib.loads(path.read_text(encoding="utf-8"))
-    return VioModel(**{f.name: float(entries[f.name]["value"]) for f in fields(VioModel)})
-
-
-FITTED: VioModel = read_model(FIT_FILE)
+# Measured on seven ARKit recordings; docs/results/vio-drift.md has each one's source, interval and samples.
+FITTED = VioModel(
+    scale_std=0.00216,
+    gravity_std_deg=0.0365,
+    yaw_bias_deg_per_m=0.047,
+    yaw_walk_deg_per_sqrt_m=0.492,
+    yaw_session_spread=0.681,
+    position_walk_m_per_sqrt_m=0.0279,
+    height_walk_m_per_sqrt_m=0.00467,
+    correlation_m=1.59,
+    jitter_m=0.000276,
+    jitter_deg=0.0103,
+    jumps_per_min=10.6,
+    jump_min_m=0.006,
+    jump_mean_m=0.00889,
+    interruptions_per_min=0.0235,
+    interruption_s=1.5,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,12 +136,6 @@ def wander(rng: np.random.Generator, along_m: Array, correlation_m: float, colum
     walked = np.concatenate([np.zeros((1, columns)), np.cumsum((rate[1:] + rate[:-1]) * (step / 2), axis=0)])
     grid = step * np.arange(count)
     return np.stack([np.interp(along_m, grid, walked[:, c]) for c in range(columns)], axis=-1)
-
-
-def wander_variance(path_m: ArrayLike, correlation_m: float) -> Array:
-    """Variance of `wander` after path_m: path less the part that the correlation holds back."""
-    path = np.asarray(path_m, dtype=float)
-    return path - correlation_m * -np.expm1(-path / correlation_m)
 
 
 def _drifted(truth: Array, seed: int, model: VioModel) -> Array:

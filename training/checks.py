@@ -24,14 +24,12 @@ def check_regressor(model: PoseRegressor, scenes: int, view: View, gives_covaria
         with torch.no_grad():
             answer = model.eval()(image)
         _check_poses(answer, scenes, gives_covariance)
-        frames, _ = model.sequence()
-        count = _IMAGES * frames
         truth = PoseBatch(
-            torch.randn(count, 3),
-            torch.nn.functional.normalize(torch.randn(count, 4), dim=-1),
-            torch.zeros(count, dtype=torch.long),
+            torch.randn(_IMAGES, 3),
+            torch.nn.functional.normalize(torch.randn(_IMAGES, 4), dim=-1),
+            torch.zeros(_IMAGES, dtype=torch.long),
         )
-        loss = model.train().loss(image.repeat_interleave(frames, dim=0), truth)
+        loss = model.train().loss(image, truth)
     if not isinstance(loss, Tensor) or loss.shape != () or not loss.requires_grad:
         raise ValueError(f"loss returned {_described(loss)}, not a scalar with a gradient")
 

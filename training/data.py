@@ -84,9 +84,8 @@ class Frames:
     """N frames: where each one's image is in the cache, its calibration and its pose.
 
     `index_N` into the cache; `K_N33` intrinsics in cached pixels (pixel centres at 0.5); `position_N3` (m) and
-    `quaternion_N4` (unit xyzw) of map_T_cam; `scene_N` the index of the frame's scene; `session_N` that of its session,
-    in which frames follow one another in time; `gravity_N3` the unit vector down, in camera axes, NaN where the phone
-    gives none.
+    `quaternion_N4` (unit xyzw) of map_T_cam; `scene_N` the index of the frame's scene; `gravity_N3` the unit vector
+    down, in camera axes, NaN where the phone gives none.
     """
 
     cache: ImageCache
@@ -95,7 +94,6 @@ class Frames:
     position_N3: NDArray[np.float64]
     quaternion_N4: NDArray[np.float64]
     scene_N: NDArray[np.int64]
-    session_N: NDArray[np.int64]
     gravity_N3: NDArray[np.float64]
 
     def __len__(self) -> int:
@@ -110,7 +108,6 @@ class Frames:
             self.position_N3[rows],
             self.quaternion_N4[rows],
             self.scene_N[rows],
-            self.session_N[rows],
             self.gravity_N3[rows],
         )
 
@@ -129,14 +126,6 @@ class Frames:
         map_R_cam = (Rotation.from_quat(quaternion) * self.seen(view).inv()).as_matrix()
         levelled = with_tilt_of_gravity(map_R_cam, self.gravity_N3)
         return position, np.asarray(Rotation.from_matrix(levelled).as_quat())
-
-    def sequences(self, rows: NDArray[np.int64], frames: int, spacing: int) -> NDArray[np.int64]:
-        """Rows (N * frames,) of sequences of frames of one session: each begins at one of `rows`, or as late as a
-        session's end lets it; in a session that is too short, its last frame is repeated."""
-        starts = np.searchsorted(self.session_N, self.session_N[rows])
-        ends = np.searchsorted(self.session_N, self.session_N[rows], side="right") - 1
-        first = np.maximum(np.minimum(rows, ends - spacing * (frames - 1)), starts)
-        return np.minimum(first[:, None] + spacing * np.arange(frames), ends[:, None]).ravel()
 
     def poses(self, device: torch.device) -> PoseBatch:
         """All poses as tensors."""

@@ -3,9 +3,7 @@
 from groundwalk.store import colours
 from groundwalk.store.registry import Lazy
 from groundwalk.training.regressor_settings import (
-    ADPoseNetSettings,
     LiteSettings,
-    MapNetSettings,
     MSTransformerSettings,
     PoseNetSettings,
 )
@@ -21,46 +19,6 @@ PN = Regressor(
     multi_scene=False,
     gives_covariance=False,
     in_paper=True,
-)
-MAPNET = Regressor(
-    id="MapNet",
-    label="MapNet",
-    meaning="PN that also learns the motion between frames",
-    colour=colours.LOCALISERS["MapNet"],
-    settings=MapNetSettings,
-    make=Lazy("groundwalk.training.models.mapnet:MapNet"),
-    multi_scene=False,
-    gives_covariance=False,
-)
-BAYESIAN_PN = Regressor(
-    id="PN-Bayesian",
-    label="Bayesian PN",
-    meaning="PN with dropout at test time",
-    colour=colours.LOCALISERS["PN-Bayesian"],
-    settings=PoseNetSettings,
-    make=Lazy("groundwalk.training.models.bayesian_posenet:BayesianPoseNet"),
-    multi_scene=False,
-    gives_covariance=True,
-)
-AD_POSENET = Regressor(
-    id="AD-PoseNet",
-    label="AD-PoseNet",
-    meaning="PN with parts of the image hidden in training and testing",
-    colour=colours.LOCALISERS["AD-PoseNet"],
-    settings=ADPoseNetSettings,
-    make=Lazy("groundwalk.training.models.ad_posenet:ADPoseNet"),
-    multi_scene=False,
-    gives_covariance=True,
-)
-COORDINET = Regressor(
-    id="CoordiNet",
-    label="CoordiNet",
-    meaning="PN with coordinate channels and learned uncertainty",
-    colour=colours.LOCALISERS["CoordiNet"],
-    settings=PoseNetSettings,
-    make=Lazy("groundwalk.training.models.coordinet:CoordiNet"),
-    multi_scene=False,
-    gives_covariance=True,
 )
 MS_T = Regressor(
     id="MS-T",

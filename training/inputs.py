@@ -121,5 +121,4 @@ def as_training_frames(frames: pd.DataFrame, cache: ImageCache, focal: float | N
         position[known], quaternion[known] = tq_from_pose(map_T_cam[known])
     scene = frames["scene_index"].to_numpy(np.int64)
     gravity = frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, copy=True)
-    session = frames.groupby(["scene_index", "session_id"], sort=False).ngroup().to_numpy()
-    return Frames(cache, np.arange(len(frames)), K, position, quaternion, scene, session.astype(np.int64), gravity)
+    return Frames(cache, np.arange(len(frames)), K, position, quaternion, scene, gravity)

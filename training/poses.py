@@ -56,13 +56,6 @@ def multiply(a_B4: Tensor, b_B4: Tensor) -> Tensor:
     return torch.cat([v, aw * bw - (av * bv).sum(-1, keepdim=True)], dim=-1)
 
 
-def as_matrix(q_B4: Tensor) -> Tensor:
-    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
-    axes = torch.eye(3, 4, device=q_B4.device, dtype=q_B4.dtype).expand(*q_B4.shape[:-1], 3, 4)
-    turn = q_B4[..., None, :].expand_as(axes)
-    return multiply(multiply(turn, axes), conjugate(turn))[..., :3].mT
-
-
 def conjugate(q_B4: Tensor) -> Tensor:
     """Inverse rotations of unit quaternions (..., 4)."""
     return torch.cat([-q_B4[..., :3], q_B4[..., 3:]], dim=-1)

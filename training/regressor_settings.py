@@ -43,7 +43,7 @@ class RegressorSettings(Settings):
     recipes: ClassVar[Mapping[str, Recipe]] = {"published": Recipe()}
 
     epochs: int = Field(300, gt=0, description="passes over the training frames")
-    batch: int = Field(64, gt=1, description="images a step, of MapNet sequences of three")
+    batch: int = Field(64, gt=1, description="images a step")
     learning_rate: float = Field(1e-4, gt=0, description="Adam's learning rate after warming up")
     jitter: tuple[float, float, float, float] | None = Field(
         None, description="colour jitter: brightness, contrast, saturation, hue; without it the recipe's"
@@ -76,7 +76,7 @@ class BackboneSettings(RegressorSettings):
 
 
 class PoseNetSettings(BackboneSettings):
-    """PN, CoordiNet, Bayesian PN and MapNet: MapNet's settings for PoseNet."""
+    """PN: MapNet's authors' settings for PoseNet."""
 
     recipes: ClassVar[Mapping[str, Recipe]] = {
         "published": Recipe(),
@@ -90,28 +90,6 @@ class PoseNetSettings(BackboneSettings):
             loss_weights=(-2.0, -3.0),
         ),
     }
-
-
-class MapNetSettings(PoseNetSettings):
-    """MapNet: its authors' batch."""
-
-    batch: int = Field(20, gt=1, description="images a step, of MapNet sequences of three")
-
-
-class ADPoseNetSettings(PoseNetSettings):
-    """AD-PoseNet: its authors' settings, and a prior that is the same everywhere."""
-
-    recipes: ClassVar[Mapping[str, Recipe]] = {
-        **PoseNetSettings.recipes,
-        "published": Recipe(loss_weights=(-3.0, -3.0)),
-    }
-
-    prior_image: str | None = Field(
-        None,
-        description="image whose grey values say how often moving objects hide a pixel, white for always, stretched"
-        " over what the network sees: for instance the mean of their masks over the training images; without it one"
-        " probability holds everywhere",
-    )
 
 
 class MSTransformerSettings(BackboneSettings):
@@ -132,7 +110,7 @@ class MSTransformerSettings(BackboneSettings):
     }
 
     epochs: int = Field(600, gt=0, description="passes over the training frames")
-    batch: int = Field(8, gt=1, description="images a step, of MapNet sequences of three")
+    batch: int = Field(8, gt=1, description="images a step")
     dropout: float = Field(0.1, ge=0, lt=1, description=_DROPOUT)
     layers: int = Field(6, gt=0, description="encoder layers, and decoder layers, of each transformer")
 
@@ -154,7 +132,7 @@ class LiteSettings(RegressorSettings):
     }
 
     epochs: int = Field(40, gt=0, description="passes over the training frames")
-    batch: int = Field(128, gt=1, description="images a step, of MapNet sequences of three")
+    batch: int = Field(128, gt=1, description="images a step")
     learning_rate: float = Field(2e-3, gt=0, description="Adam's learning rate after warming up")
     dropout: float = Field(0.3, ge=0, lt=1, description=_DROPOUT)
     weights: str = Field("auto", description=_WEIGHTS)

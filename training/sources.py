@@ -51,7 +51,6 @@ class ImageSource:
         """What the loss of some rows is computed from (see `gradient_step`), and the true poses."""
         recipe = self.run.settings.training
         turns = Turns(*recipe.turn_deg) if recipe.turn_deg else None
-        rows = self.training.sequences(rows, *self.model.sequence())
         image, poses = self.training.select(rows).training_crops(self.run.view, turns, rng, self.run.device)
         image = normalised(Jitter(*recipe.jitter).apply(image, rng))
         return image.contiguous(memory_format=torch.channels_last), poses

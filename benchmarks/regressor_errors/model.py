@@ -5,10 +5,10 @@ the same whenever the scene is seen again from the same place in the same direct
 Beside it there is noise that is new in each frame, with some frames far worse than others. How large both are differs
 over the map by an order of magnitude: some places are hard.
 
-Sizes are matched to published errors, scene by scene (`python -m benchmarks.regressor_errors.fit`); the fields of
+Sizes (`sizes.toml`) were fitted to Tables II and III, scene by scene: errors and accuracy levels of raw predictions,
+over all frames and over those that the paper's rule replaced, and the share that passed its pair check. The fields of
 `AprModel` with a default are what no publication says. How repeatable the bias is follows PoseNet, MS-Transformer and
-DFNet on chess, fire, office and KingsCollege. Nothing here was measured on a
-regressor of ours.
+DFNet on chess, fire, office and KingsCollege. Nothing here was measured on a regressor of ours.
 """
 
 import tomllib
@@ -25,7 +25,7 @@ from scipy.special import chdtri
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, make_pose
 
-FIT_FILE = Path(__file__).with_name("sizes.toml")
+REGRESSORS = ("PN", "MS-T")
 
 _FEATURES = 128
 # Each effect has its own stream of random numbers.
@@ -159,8 +159,8 @@ def _fields(where: Array, count: int, seed: list[int]) -> Array:
 
 
 def read_apr_models() -> dict[tuple[str, str], AprModel]:
-    """Models by (scene, regressor), as `python -m benchmarks.regressor_errors.fit` wrote them."""
-    content = tomllib.loads(FIT_FILE.read_text(encoding="utf-8"))
+    """Models by (scene, regressor)."""
+    content = tomllib.loads(Path(__file__).with_name("sizes.toml").read_text(encoding="utf-8"))
     return {
         (scene, regressor): AprModel(**{name: float(value) for name, value in values.items()})
         for scene, regressors in content.items()

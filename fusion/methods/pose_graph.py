@@ -22,9 +22,6 @@ class PoseGraphOptions(OdometryOptions):
     rotation_sd_deg: float = Field(4.0, gt=0, description="a prediction's rotation error an axis")
     step_sd_m: float = Field(0.05, gt=0, description="odometry's position error from one of them to the next, an axis")
     step_sd_deg: float = Field(0.3, gt=0, description="odometry's rotation error from one of them to the next, an axis")
-    huber: float | None = Field(
-        None, gt=0, description="standard deviations from which a prediction counts less; MapNet has none"
-    )
 
 
 class PoseGraph(OdometryLocaliser):
@@ -71,6 +68,5 @@ class PoseGraph(OdometryLocaliser):
             guess,
             measured_sd=(o.position_sd_m, radians(o.rotation_sd_deg)),
             step_sd=(o.step_sd_m, radians(o.step_sd_deg)),
-            huber=float("inf") if o.huber is None else o.huber,
         )
         self._window.extend(zip(predicted, vio, solved, strict=True))

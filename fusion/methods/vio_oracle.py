@@ -20,7 +20,6 @@ from groundwalk.geometry.poses import Array
 class VioOracleOptions(OdometryOptions):
     position_sd_m: float = Field(0.5, gt=0, description="in the fit: position error that weighs as much as ...")
     rotation_sd_deg: float = Field(4.0, gt=0, description="... this rotation error")
-    yaw_only: bool = Field(False, description="fit yaw and position only")
 
 
 class VioOracle(Offline):
@@ -44,7 +43,6 @@ class VioOracle(Offline):
                 walk.vio_T_cam[fitted],
                 position_sd_m=o.position_sd_m,
                 rotation_sd=radians(o.rotation_sd_deg),
-                yaw_only=o.yaw_only,
             )
             for i in frames:
                 answers[i] = Estimate(map_T_vio @ walk.vio_T_cam[i], Status.OPTIMISED, map_T_vio=map_T_vio)

@@ -17,7 +17,6 @@ class WindowOptions(OdometryOptions):
     pairs: int = Field(30, ge=1, description="pairs of prediction and odometry that the alignment is fitted to")
     position_sd_m: float = Field(0.5, gt=0, description="a prediction's position error that weighs as much as ...")
     rotation_sd_deg: float = Field(4.0, gt=0, description="... this rotation error; errors below both never count less")
-    yaw_only: bool = Field(False, description="odometry and map share their vertical: fit yaw and position only")
 
 
 class Window(OdometryLocaliser):
@@ -48,14 +47,7 @@ class Window(OdometryLocaliser):
         rotation_sd = float(np.radians(o.rotation_sd_deg))
 
         def fit(weights: Array) -> Array:
-            return fit_poses(
-                map_T_cam,
-                vio_T_cam,
-                weights,
-                position_sd_m=o.position_sd_m,
-                rotation_sd=rotation_sd,
-                yaw_only=o.yaw_only,
-            )
+            return fit_poses(map_T_cam, vio_T_cam, weights, position_sd_m=o.position_sd_m, rotation_sd=rotation_sd)
 
         def residuals(map_T_vio: Array) -> Array:
             metres, angle = pose_residuals(map_T_cam, vio_T_cam, map_T_vio)

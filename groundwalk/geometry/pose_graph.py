@@ -29,21 +29,19 @@ def smooth_chain(
     *,
     measured_sd: tuple[float, float],
     step_sd: tuple[float, float],
-    huber: float = np.inf,
 ) -> tuple[Array, Array]:
     """The poses (N, 4, 4) that fit measured poses (N, 4, 4) and steps a_T_b (N-1, 4, 4) between neighbours best, and
     the covariance (6, 6) of the last: rotation (rad, camera axes), then position (m, the measurements' frame).
 
     Least squares over rotation and position differences, weighted by standard deviations (m, rad); Gauss-Newton from
-    `start` (N, 4, 4). A measured pose with a residual beyond `huber` standard deviations counts by its length, not by
-    its square.
+    `start` (N, 4, 4).
     """
     z, d, poses = (np.asarray(x, dtype=float) for x in (measured, steps, start))
     n = len(z)
     poses = poses.copy()
     normal = np.zeros((6 * n, 6 * n))
     for _ in range(_MAX_ITERATIONS):
-        H, g = _of_measurements(z, poses, measured_sd, huber)
+        H, g = _of_measurements(z, poses, measured_sd)
         _add_steps(H, g, d, poses, step_sd)
         normal = H.transpose(0, 2, 1, 3).reshape(6 * n, 6 * n)
         update = -np.linalg.solve(normal, g.ravel()).reshape(n, 6)
@@ -56,22 +54,19 @@ def smooth_chain(
     return poses, np.asarray(np.linalg.solve(normal, last)[-6:], dtype=float)
 
 
-def _of_measurements(measured: Array, poses: Array, sd: tuple[float, float], huber: float) -> tuple[Array, Array]:
+def _of_measurements(measured: Array, poses: Array, sd: tuple[float, float]) -> tuple[Array, Array]:
     """What measured poses add to the normal equations: blocks (N, N, 6, 6) and right side (N, 6) by frame, rotation
     (camera axes) before position."""
     n = len(poses)
     turn = Rotation.from_matrix(measured[:, :3, :3].swapaxes(1, 2) @ poses[:, :3, :3]).as_rotvec()
     J = inverse_right_jacobian(turn)
     off = poses[:, :3, 3] - measured[:, :3, 3]
-    size = np.sqrt(np.sum((turn / sd[1]) ** 2, axis=1) + np.sum((off / sd[0]) ** 2, axis=1))
-    weight = np.minimum(1.0, huber / np.maximum(size, 1e-12))
     H, g = np.zeros((n, n, 6, 6)), np.zeros((n, 6))
     i = np.arange(n)
-    rotation_weight, position_weight = (weight / sd[1] ** 2)[:, None], (weight / sd[0] ** 2)[:, None]
-    H[i, i, :3, :3] = rotation_weight[..., None] * (J.swapaxes(1, 2) @ J)
-    H[i, i, 3:, 3:] = position_weight[..., None] * np.eye(3)
-    g[:, :3] = rotation_weight * np.einsum("nij,ni->nj", J, turn)
-    g[:, 3:] = position_weight * off
+    H[i, i, :3, :3] = J.swapaxes(1, 2) @ J / sd[1] ** 2
+    H[i, i, 3:, 3:] = np.eye(3) / sd[0] ** 2
+    g[:, :3] = np.einsum("nij,ni->nj", J, turn) / sd[1] ** 2
+    g[:, 3:] = off / sd[0] ** 2
     return H, g
 
 

@@ -38,9 +38,6 @@ BUILTIN: dict[str, dict[str, str]] = {
         "global": "groundwalk.sfm.plugins:GLOBAL",
         "hierarchical": "groundwalk.sfm.plugins:HIERARCHICAL",
     },
-    "groundwalk.retrieval": {
-        "vlad": "groundwalk.sfm.plugins:VLAD",
-    },
     "groundwalk.structure_localisers": {
         "Map": "groundwalk.localisation.entries:MAP",
         "HLoc": "groundwalk.localisation.entries:HLOC",
@@ -49,10 +46,6 @@ BUILTIN: dict[str, dict[str, str]] = {
     "groundwalk.regressors": {
         "PN": "groundwalk.training.entries:PN",
         "MS-T": "groundwalk.training.entries:MS_T",
-        "MapNet": "groundwalk.training.entries:MAPNET",
-        "PN-Bayesian": "groundwalk.training.entries:BAYESIAN_PN",
-        "AD-PoseNet": "groundwalk.training.entries:AD_POSENET",
-        "CoordiNet": "groundwalk.training.entries:COORDINET",
         "PN-Lite": "groundwalk.training.entries:PN_LITE",
     },
     "groundwalk.fusion_methods": {

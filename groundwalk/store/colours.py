@@ -16,10 +16,6 @@ LOCALISERS = {
     "Map": (204, 121, 167),
     "HLoc": (120, 60, 20),
     "PN-Lite": (117, 112, 179),
-    "MapNet": (190, 60, 90),
-    "PN-Bayesian": (0, 60, 110),
-    "AD-PoseNet": (188, 189, 34),
-    "CoordiNet": (160, 140, 220),
     "HLoc-XFeat": (240, 128, 128),
 }
 APR = LOCALISERS["PN"]

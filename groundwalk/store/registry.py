@@ -1,7 +1,7 @@
 """What can be added to groundwalk: records that entry points name, groundwalk's own and other packages' alike.
 
-There is one registry a kind (capture formats, mappers, retrieval, structure localisers, regressors, fusion methods,
-exporters). An entry point of group `groundwalk.<kind>` names a record of the kind's class; its name is the record's id.
+There is one registry a kind (capture formats, mappers, structure localisers, regressors, fusion methods, exporters). An
+entry point of group `groundwalk.<kind>` names a record of the kind's class; its name is the record's id.
 Records of groundwalk itself are listed in `builtin.py`, those of other packages in their metadata. A plug-in that can't
 be used is named with its package and entry point, and all others go on.
 """

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from groundwalk.geometry.vlad import aggregate, k_means
 from groundwalk.sfm.pairs.candidates import Pairs, unique_pairs
-from groundwalk.sfm.plugins import Descriptors
 
 Floats = NDArray[np.float32]
+Descriptors = NDArray[np.uint8]
 
 _WORDS, _SAMPLES_PER_WORD = 64, 400
 _ROWS_AT_ONCE = 512

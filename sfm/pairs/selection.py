@@ -10,8 +10,7 @@ from groundwalk.sfm.database import read_descriptors
 from groundwalk.sfm.pairs import candidates
 from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.odometry import Odometry, drift_between
-from groundwalk.sfm.pairs.retrieval import retrieval_pairs
-from groundwalk.sfm.plugins import RETRIEVALS
+from groundwalk.sfm.pairs.retrieval import retrieval_pairs, vlad
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import PairOrigin
 from groundwalk.store.tables import have_times
@@ -58,7 +57,7 @@ def pairs_by_images(settings: SfmSettings, vio: Odometry, known: Proposals, data
         proposals.append((PairOrigin.EXHAUSTIVE, free[np.stack(np.triu_indices(len(free), 1), axis=1)]))
     across = len(set(vio.session)) > 1 and not (is_few and len(free) == len(vio.session))
     if settings.retrieval_pairs and (across or not is_few):
-        described = _described(settings, len(vio.session), database, seed)
+        described = vlad(read_descriptors(database, len(vio.session)), seed)
         if not is_few:
             tried = np.concatenate([pairs for _, pairs in known])
             proposals.append((PairOrigin.RETRIEVAL, _similar(described, vio.recording, free, settings, tried)))
@@ -72,20 +71,7 @@ def pairs_of_untimed(settings: SfmSettings, frames: pd.DataFrame, vio: Odometry,
     untimed = np.flatnonzero(~have_times(frames))
     if not len(untimed):
         return candidates.unique_pairs([])
-    return _similar(_described(settings, len(frames), database, seed), vio.recording, untimed, settings)
-
-
-def _described(settings: SfmSettings, frames: int, database: Path, seed: int) -> NDArray[np.float32]:
-    """The images' unit vectors; PluginError where a retrieval of another package fails or gives something else."""
-    descriptors = read_descriptors(database, frames)
-    with RETRIEVALS.guard(settings.retrieval):
-        vectors = RETRIEVALS.find(settings.retrieval).describe(descriptors, seed)
-        if np.ndim(vectors) != 2 or len(vectors) != frames or not np.isfinite(vectors).all():
-            raise ValueError(
-                f"describe gave an array of shape {np.shape(vectors)} for {frames} images, expected finite numbers, a "
-                "row an image"
-            )
-    return vectors
+    return _similar(vlad(read_descriptors(database, len(frames)), seed), vio.recording, untimed, settings)
 
 
 def _similar(

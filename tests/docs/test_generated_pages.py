@@ -28,7 +28,7 @@ def test_a_page_that_is_not_generated_is_kept(tmp_path: Path) -> None:
     for _ in range(2):  # new, and in place of earlier ones
         assert mine in write_reference(tmp_path)
     mine.write_text("mine")
-    other = tmp_path / "results" / "vio-drift.md"
+    other = tmp_path / "reference" / "checks.md"
     other.unlink()
     with pytest.raises(UserError, match="isn't a generated page"):
         write_reference(tmp_path)

@@ -10,7 +10,7 @@ import pytest
 
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.fusion.methods import METHODS
-from groundwalk.sfm.plugins import MAPPERS, RETRIEVALS
+from groundwalk.sfm.plugins import MAPPERS
 from groundwalk.store import UserError, registry
 from groundwalk.store.builtin import BUILTIN
 from groundwalk.store.registry import Entry, PluginError, Registry, callable_faults
@@ -123,7 +123,7 @@ def test_faults_of_a_package_are_named_and_ours_are_not_hidden(install: Install)
     assert type(again) is PluginError and str(again) == str(caught.value) and again.reason == caught.value.reason
 
 
-@pytest.mark.parametrize("kind", [FORMATS, MAPPERS, RETRIEVALS, REGRESSORS, METHODS], ids=lambda kind: kind.group)
+@pytest.mark.parametrize("kind", [FORMATS, MAPPERS, REGRESSORS, METHODS], ids=lambda kind: kind.group)
 def test_all_of_our_entries_are_sound(kind: Registry[Entry]) -> None:
     assert len(kind.builtin) and [*kind][: len(kind.builtin)] == [*kind.builtin]
     for name in kind.builtin:

@@ -13,7 +13,6 @@ from groundwalk.training import loop, sources
 from groundwalk.training.data import Frames, ImageCache, View
 from groundwalk.training.evaluation import mean_pose_errors, pose_errors
 from groundwalk.training.loop import epoch_batches, held_out_score, learning_rate, take_best, train
-from groundwalk.training.models.ad_posenet import ADPoseNet
 from groundwalk.training.models.regressor import BackboneRegressor, FrozenRegressor, PoseRegressor
 from groundwalk.training.poses import PoseBatch, exp_quaternion
 from groundwalk.training.regressor_settings import MSTransformerSettings, PoseNetSettings, Recipe
@@ -61,60 +60,26 @@ def random_frames(folder: Path, count: int) -> Frames:
     K = np.tile(np.array([[40.0, 0, 24], [0, 40, 18], [0, 0, 1]]), (count, 1, 1))
     position = rng.uniform(-5, 5, (count, 3))
     gravity = np.tile([0.0, 1, 0], (count, 1))
-    scene, session = np.zeros((2, count), np.int64)
-    return Frames(ImageCache(folder), np.arange(count), K, position, quaternion, scene, session, gravity)
-
-
-def overfitted(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, epochs: int, **settings: object
-) -> list[float]:
-    """Errors of a regressor trained on eight images over those of their mean pose: position, rotation."""
-    frames = random_frames(folder / "images", 8)
-    torch.manual_seed(0)
-    entry = REGRESSORS[name]
-    monkeypatch.setattr(entry.settings, "training", Recipe(schedule="cosine", turn_deg=(0, 0, 0)))
-    chosen = entry.settings(epochs=epochs, **{"batch": 8, "learning_rate": 1e-3, "dropout": 0.0, **settings})
-    model = entry.make(chosen, 1, False)
-    assert isinstance(model, BackboneRegressor)
-    if isinstance(model, ADPoseNet):
-        model.prior.fill_(0.02)
-    model.frames.fit(frames.poses(CPU), True, True)
-    train(silent, model, frames, frames, Run("test", chosen, CPU, "fp32", View(32, 32), 0, folder))
-    history = take_best(model, folder)
-    assert history[-1]["train_loss"] < history[0]["train_loss"] - 2
-    both = zip(pose_errors(model, frames, View(32, 32), CPU), mean_pose_errors(frames, frames), strict=True)
-    return [float(np.median(error) / np.median(of_mean)) for error, of_mean in both]
+    scene = np.zeros(count, np.int64)
+    return Frames(ImageCache(folder), np.arange(count), K, position, quaternion, scene, gravity)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "epochs", "settings", "position", "rotation"),
-    [
-        ("PN", 40, {}, 0.2, 0.4),
-        ("MapNet", 80, {}, 0.3, 0.6),
-        ("PN-Bayesian", 80, {"dropout": 0.05}, 0.3, 0.6),
-        ("AD-PoseNet", 80, {}, 0.3, 0.6),
-        ("CoordiNet", 80, {}, 0.3, 0.6),
-    ],
-)
-def test_overfits_a_few_images(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    name: str,
-    epochs: int,
-    settings: dict[str, Any],
-    position: float,
-    rotation: float,
-) -> None:
-    errors = overfitted(tmp_path, monkeypatch, name, epochs, **settings)
-    assert errors[0] < position and errors[1] < rotation
-
-
-def test_sequences_stay_in_their_session(tmp_path: Path) -> None:
-    frames = replace(random_frames(tmp_path / "images", 9), session_N=np.repeat([0, 1, 2], [5, 3, 1]))
-    assert frames.sequences(np.array([0, 4, 6, 8]), 2, 2).reshape(-1, 2).tolist() == [[0, 2], [2, 4], [5, 7], [8, 8]]
-    assert frames.sequences(np.array([5]), 3, 2).tolist() == [5, 7, 7]
-    assert frames.sequences(np.array([3, 1]), 1, 1).tolist() == [3, 1]
+def test_overfits_a_few_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = random_frames(tmp_path / "images", 8)
+    torch.manual_seed(0)
+    entry = REGRESSORS["PN"]
+    monkeypatch.setattr(entry.settings, "training", Recipe(schedule="cosine", turn_deg=(0, 0, 0)))
+    chosen = entry.settings(epochs=40, batch=8, learning_rate=1e-3, dropout=0.0)
+    model = entry.make(chosen, 1, False)
+    assert isinstance(model, BackboneRegressor)
+    model.frames.fit(frames.poses(CPU), True, True)
+    train(silent, model, frames, frames, Run("test", chosen, CPU, "fp32", View(32, 32), 0, tmp_path))
+    history = take_best(model, tmp_path)
+    assert history[-1]["train_loss"] < history[0]["train_loss"] - 2
+    both = zip(pose_errors(model, frames, View(32, 32), CPU), mean_pose_errors(frames, frames), strict=True)
+    position, rotation = (float(np.median(error) / np.median(of_mean)) for error, of_mean in both)
+    assert position < 0.2 and rotation < 0.4
 
 
 def check_resumed(

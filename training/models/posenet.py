@@ -8,7 +8,7 @@ from groundwalk.training.models.resnet import FEATURES, ResNet34
 from groundwalk.training.poses import PoseBatch, exp_quaternion, log_quaternion
 from groundwalk.training.regressor_settings import PoseNetSettings
 
-HIDDEN = 2048
+_HIDDEN = 2048
 
 
 class PoseNet(BackboneRegressor):
@@ -20,22 +20,17 @@ class PoseNet(BackboneRegressor):
     def __init__(self, settings: PoseNetSettings, scenes: int = 1, outdoor: bool = False) -> None:
         super().__init__(settings, scenes, outdoor)
         self.backbone: ResNet34 = ResNet34()
-        self.hidden = nn.Linear(FEATURES, HIDDEN)
-        self.position = nn.Linear(HIDDEN, 3)
-        self.rotation = nn.Linear(HIDDEN, 3)
+        self.hidden = nn.Linear(FEATURES, _HIDDEN)
+        self.position = nn.Linear(_HIDDEN, 3)
+        self.rotation = nn.Linear(_HIDDEN, 3)
         # A module, so that eval() turns it off; the functional form stays on at test time.
         self.dropout = nn.Dropout(settings.dropout)
         for layer in (self.hidden, self.position, self.rotation):
             nn.init.kaiming_normal_(layer.weight)
             nn.init.zeros_(layer.bias)
 
-    def _features(self, image_B3HW: Tensor) -> Tensor:
-        """What the head sees of images (B, 512)."""
-        features: Tensor = self.backbone(image_B3HW)
-        return features
-
     def _regress(self, image_B3HW: Tensor) -> tuple[Tensor, Tensor]:
-        features = self._features(image_B3HW)
+        features = self.backbone(image_B3HW)
         # bfloat16 resolves 1 part in 256, too coarse for positions: the head computes in float32.
         with torch.autocast(image_B3HW.device.type, enabled=False):
             hidden = self.dropout(torch.relu(self.hidden(features.float())))

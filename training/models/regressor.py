@@ -99,10 +99,6 @@ class PoseRegressor(nn.Module, ABC):
         """
         return "scratch"
 
-    def sequence(self) -> tuple[int, int]:
-        """How many frames of one session a training example has, and how many frames lie from one to the next."""
-        return 1, 1
-
     def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
         """Called once after training with the answers to the held-out frames, to scale covariances by."""
 

@@ -57,12 +57,8 @@ class ResNet34(nn.Module):
                 # faster (Goyal et al., 2017); loaded weights replace this.
                 nn.init.zeros_(module.bn2.weight)
 
-    def maps(self, image_B3HW: Tensor) -> Tensor:
-        """The last feature maps (B, 512, H/32, W/32)."""
+    def forward(self, image_B3HW: Tensor) -> Tensor:
         x = self.maxpool(self.relu(self.bn1(self.conv1(image_B3HW))))
         for index in range(1, len(STAGES) + 1):
             x = self.get_submodule(f"layer{index}")(x)
-        return x
-
-    def forward(self, image_B3HW: Tensor) -> Tensor:
-        return self.fc(self.avgpool(self.maps(image_B3HW)).flatten(1))
+        return self.fc(self.avgpool(x).flatten(1))

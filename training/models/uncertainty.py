@@ -6,46 +6,17 @@ from scipy.special import fdtri
 from torch import Tensor, nn
 
 from groundwalk.scoring.errors import BOUND_95
-from groundwalk.training.models.regressor import SceneFrames
-from groundwalk.training.poses import PoseBatch, as_matrix, conjugate, exp_quaternion, log_quaternion, multiply
+from groundwalk.training.poses import PoseBatch, conjugate, log_quaternion, multiply
 
 _MIN_FRAMES = 3  # from which on errors of three axes have a covariance
 _QUANTILE = 0.9
 _CHI2_QUANTILE = 6.25  # of three degrees of freedom at _QUANTILE
 _FACTORS = (0.01, 100.0)
-# Below a millimetre and a hundredth of a degree a covariance from samples says nothing.
-_FLOOR = torch.tensor([2e-4] * 3 + [1e-3] * 3)
 
 
 def rotation_vector(q_from_B4: Tensor, q_to_B4: Tensor) -> Tensor:
     """The rotations (..., 3), rad, in the axes of the reference frame, after which `q_from` becomes `q_to`."""
     return 2 * log_quaternion(multiply(q_to_B4, conjugate(q_from_B4)))
-
-
-def mean_with_scatter(
-    frames: SceneFrames, position_SB3: Tensor, log_q_SB3: Tensor, scale: "CovarianceScale"
-) -> PoseBatch:
-    """The mean, in the map frame, of S answers to each image in the only scene's network frame, and their scatter,
-    scaled."""
-    count, batch = position_SB3.shape[:2]
-    scene = torch.zeros(batch, dtype=torch.long, device=position_SB3.device)
-    mean = frames.to_map(position_SB3.mean(0), exp_quaternion(log_q_SB3.mean(0)), scene)
-    samples = frames.to_map(position_SB3.flatten(0, 1), exp_quaternion(log_q_SB3).flatten(0, 1), scene.repeat(count))
-    position, quaternion = (x.unflatten(0, (count, batch)) for x in samples[:2])
-    rotation = rotation_vector(mean.quaternion_B4.expand_as(quaternion), quaternion)
-    error = torch.cat([rotation, position - mean.position_B3], dim=-1)
-    covariance = torch.einsum("sbi,sbj->bij", error, error) / count
-    return mean._replace(covariance_B66=scale(covariance + torch.diag(_FLOOR.to(covariance.device).square())))
-
-
-def diagonal_in_map(frames: SceneFrames, scene_B: Tensor, rotation_sd_B3: Tensor, position_sd_B3: Tensor) -> Tensor:
-    """Covariances (B, 6, 6) in the map frame of standard deviations by axis in the frame that the network regresses
-    in."""
-    map_R_net = as_matrix(frames.turn[scene_B])
-    rotation = map_R_net @ torch.diag_embed(rotation_sd_B3.square()) @ map_R_net.mT
-    position = torch.diag_embed((position_sd_B3 * frames.scale[scene_B]).square())
-    zero = torch.zeros_like(rotation)
-    return torch.cat([torch.cat([rotation, zero], -1), torch.cat([zero, position], -1)], -2)
 
 
 def resized(covariance_B66: Tensor, sd_B2: Tensor) -> Tensor:

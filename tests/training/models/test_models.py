@@ -77,10 +77,7 @@ def test_backbones_have_the_layout_of_torchvision(
     assert all(m.eps == 1e-5 for m in backbone.modules() if isinstance(m, nn.BatchNorm2d))
 
 
-NAMES = ["PN", "MS-T", "MapNet", "PN-Bayesian", "AD-PoseNet", "CoordiNet"]
-
-
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["PN", "MS-T"])
 def test_training_reaches_every_part_and_evaluation_is_deterministic(name: str) -> None:
     model = made(name, 2 if name == "MS-T" else 1).train()
     model.loss(images(6), some_poses(6, model.scenes)).backward()
@@ -98,31 +95,11 @@ def test_training_reaches_every_part_and_evaluation_is_deterministic(name: str) 
     assert (first.quaternion_B4[:, 3] >= 0).all()
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["PN", "MS-T"])
 def test_both_signs_of_a_quaternion_are_the_same_rotation(name: str) -> None:
     model, poses = made(name).eval(), some_poses(6)
     other = poses._replace(quaternion_B4=-poses.quaternion_B4)
-    losses = []
-    for same in (poses, other):
-        torch.manual_seed(0)  # of AD-PoseNet's masks
-        losses.append(model.loss(images(6), same))
-    assert torch.allclose(losses[0], losses[1])
-
-
-@pytest.mark.parametrize("name", ["PN-Bayesian", "AD-PoseNet", "CoordiNet"])
-def test_covariances_are_in_the_axes_of_the_map(name: str) -> None:
-    """Symmetric and positive; a turn of the network's frame turns them, its scale scales them."""
-    model = made(name).eval()
-    with torch.no_grad():
-        plain = model(images(4)).covariance_B66.double()
-        assert torch.equal(plain, plain.mT) or torch.allclose(plain, plain.mT, rtol=1e-4)
-        assert (torch.linalg.eigvalsh(plain) > 0).all()
-        model.frames.turn[0] = torch.tensor([0.0, 0.0, 0.5**0.5, 0.5**0.5])  # x becomes y, and y -x
-        model.frames.scale[0] = 3.0
-        turned = model(images(4)).covariance_B66.double()
-    quarter = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).double()
-    assert torch.allclose(turned[:, :3, :3], quarter @ plain[:, :3, :3] @ quarter.T, rtol=2e-3, atol=1e-6)
-    assert torch.allclose(turned[:, 3:, 3:], 9 * plain[:, 3:, 3:], rtol=2e-3, atol=2e-5)
+    assert torch.allclose(model.loss(images(6), poses), model.loss(images(6), other))
 
 
 def test_scene_is_the_true_one_in_training_and_the_likeliest_in_testing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,1 +1,0 @@
-"""Fits the simulator's model of VIO drift to recordings of phones."""
