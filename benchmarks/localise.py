@@ -25,7 +25,7 @@ from scipy.stats import spearmanr
 from benchmarks.lights import frames_in
 from benchmarks.localise_lights import Figure, lights_section
 from benchmarks.localise_regressors import answers_of, trained_regressors
-from benchmarks.results import machine, markdown_table
+from benchmarks.results import busy_machine, markdown_table
 from groundwalk.export.regressor import TrainedRegressor
 from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array, make_pose
@@ -358,7 +358,7 @@ def write_report(out: Path, figures: Sequence[Figure], profile: str, revision: s
     head = {
         "revision": revision,
         "date": datetime.now(UTC).date().isoformat(),
-        "machine": machine(),
+        "machine": busy_machine(),
         "profile": profile,
         "seed": "0",
         "settings": ", ".join(

@@ -38,7 +38,7 @@ from benchmarks.real_figures import (
 )
 from benchmarks.real_report import Result, Target, draw_case, judge, write_report
 from benchmarks.real_stability import stability_of, write_stability
-from benchmarks.results import machine
+from benchmarks.results import busy_machine
 from benchmarks.stock import stock_command
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import UserError
@@ -208,7 +208,7 @@ def run_case(case: Case, folder: Path, pictures: Path) -> Result:
         inputs=digest,
         revision=revision,
         date=datetime.now(UTC).strftime("%Y-%m-%d"),
-        machine=machine(),
+        machine=busy_machine(),
         verdict=verdict,
         failed_checks=failed,
         figures=figures,

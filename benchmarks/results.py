@@ -2,12 +2,12 @@
 
 import csv
 import os
-import platform
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
 from groundwalk.store.checkout import git_revision
+from groundwalk.store.cores import machine
 
 _INSTRUCTION_SETS = ("avx2", "avx_vnni", "avx512f", "avx512_vnni", "amx_int8", "asimddp", "i8mm")
 
@@ -29,9 +29,9 @@ def write_page(out: Path, name: str, sections: Iterable[str], figures: Iterable[
             csv.writer(file, lineterminator="\n").writerows(rows)
 
 
-def machine() -> str:
+def busy_machine() -> str:
     """The machine and how busy it is now, for the end of a run."""
-    return f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} as it ended"
+    return f"{machine()}, load {os.getloadavg()[0]:.1f} as it ended"
 
 
 def instruction_sets() -> str:
@@ -46,9 +46,9 @@ def instruction_sets() -> str:
 def circumstances_of(revisions: Iterable[str], dates: Iterable[str]) -> str:
     """The machine, and the revisions and dates of cases that ran one after the other, as sentences."""
     of_cases = ", ".join(sorted(set(revisions))), ", ".join(sorted(set(dates)))
-    return f"Machine: {platform.machine()}, {os.cpu_count()} cores. Revisions: {of_cases[0]}; dates: {of_cases[1]}."
+    return f"Machine: {machine()}. Revisions: {of_cases[0]}; dates: {of_cases[1]}."
 
 
 def circumstances() -> str:
     """Revision, date and machine of this run, in a sentence."""
-    return f"Revision {git_revision()}, {datetime.now(UTC):%Y-%m-%d}; {machine()}."
+    return f"Revision {git_revision()}, {datetime.now(UTC):%Y-%m-%d}; {busy_machine()}."

@@ -7,7 +7,6 @@ group, over which figures are averaged. A file `about.txt` in the folder says wh
 import hashlib
 import multiprocessing
 import os
-import platform
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -32,6 +31,7 @@ from groundwalk.scoring import errors as scoring_errors
 from groundwalk.scoring.errors import accuracy_shares
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.checkout import git_revision
+from groundwalk.store.cores import machine
 from groundwalk.store.files import make_writable
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.progress import track
@@ -284,7 +284,7 @@ def write_leaderboard(out: Path, rows: pd.DataFrame, sources: list[str], revisio
     head = {
         "revision": revision,
         "date": datetime.now(UTC).date().isoformat(),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the end",
+        "machine": f"{machine()}, load {os.getloadavg()[0]:.1f} at the end",
     }
     rows.assign(**head).to_csv(out / _TABLE, index=False, float_format="%.6g", lineterminator="\n")
     lines = [*(f"- {name}: {value}" for name, value in head.items()), *(f"- {source}" for source in sources)]

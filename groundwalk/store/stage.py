@@ -2,9 +2,7 @@
 
 import contextlib
 import gc
-import os
 import platform
-import re
 import shutil
 import time
 from collections.abc import Iterable, Iterator
@@ -20,6 +18,7 @@ import rerun as rr
 from groundwalk.store import progress, recording
 from groundwalk.store.checkout import git_revision
 from groundwalk.store.choices import MapUnit
+from groundwalk.store.cores import machine
 from groundwalk.store.damage import free_bytes
 from groundwalk.store.definition import Stage
 from groundwalk.store.errors import UserError
@@ -256,14 +255,6 @@ def _refuse_small_disk(work: Path, needed: int) -> None:
         )
 
 
-def _processor() -> str:
-    """Its name where Linux tells it: training takes twice as long on one without units for products in bfloat16."""
-    with contextlib.suppress(OSError):
-        names = re.findall(r"^model name\s*: (.+)", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.M)
-        return f"{names[0]}, " if names else ""
-    return ""
-
-
 def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: PeakMemory) -> dict[str, Any]:
     versions = dict.fromkeys(_VERSIONS, "not installed")
     for name in _VERSIONS:
@@ -279,6 +270,6 @@ def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: Pe
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": versions | {"python": platform.python_version()},
         "git_revision": git_revision(),
-        "machine": f"{platform.system()} {platform.machine()}, {_processor()}{os.cpu_count()} cores",
+        "machine": machine(),
         "recorded": (run.work / RECORDING).is_file(),
     }
