@@ -85,6 +85,9 @@ def test_held_out_frames_say_which_method_is_ahead() -> None:
     summary = summary[(summary["subset"] == "all") & (summary["scored"] == "method")].set_index("method")
     for figure in ("coverage_pct", "position_mean_m", "rotation_mean_deg"):
         assert np.allclose(found[figure], summary.loc[found["method"], figure])
+    # Where it has none, whatever the methods: two quick ones.
+    evaluated = partial(run, methods=["raw", "paper_rule"])
+    assert "validation" in evaluated(frames, truth, predictions).tables
     assert "validation" not in evaluated(frames, truth, predictions, splits=["test", "val"]).tables
     unseen = predictions[predictions["split"] == "test"]
     assert "validation" not in evaluated(frames, truth, unseen).tables
