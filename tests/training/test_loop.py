@@ -13,10 +13,10 @@ from groundwalk.training import loop, sources
 from groundwalk.training.data import Frames, ImageCache, View
 from groundwalk.training.evaluation import mean_pose_errors, pose_errors
 from groundwalk.training.loop import epoch_batches, held_out_score, learning_rate, take_best, train
+from groundwalk.training.models.posenet import PoseNet
 from groundwalk.training.models.regressor import BackboneRegressor, FrozenRegressor, PoseRegressor
 from groundwalk.training.poses import PoseBatch, exp_quaternion
 from groundwalk.training.regressor_settings import MSTransformerSettings, PoseNetSettings, Recipe
-from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.sources import Run
 
 CPU = torch.device("cpu")
@@ -68,11 +68,9 @@ def random_frames(folder: Path, count: int) -> Frames:
 def test_overfits_a_few_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = random_frames(tmp_path / "images", 8)
     torch.manual_seed(0)
-    entry = REGRESSORS["PN"]
-    monkeypatch.setattr(entry.settings, "training", Recipe(schedule="cosine", turn_deg=(0, 0, 0)))
-    chosen = entry.settings(epochs=40, batch=8, learning_rate=1e-3, dropout=0.0)
-    model = entry.make(chosen, 1, False)
-    assert isinstance(model, BackboneRegressor)
+    monkeypatch.setattr(PoseNetSettings, "training", Recipe(schedule="cosine", turn_deg=(0, 0, 0)))
+    chosen = PoseNetSettings(epochs=40, batch=8, learning_rate=1e-3, dropout=0.0)
+    model = PoseNet(chosen)
     model.frames.fit(frames.poses(CPU), True, True)
     train(silent, model, frames, frames, Run("test", chosen, CPU, "fp32", View(32, 32), 0, tmp_path))
     history = take_best(model, tmp_path)
