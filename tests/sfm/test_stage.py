@@ -241,7 +241,7 @@ def test_where_too_few_frames_register_more_is_tried_and_said(room: Room, capsys
     folder = _run(room)
     said = " ".join(capsys.readouterr().err.split())
     attempts = pd.read_parquet(folder / "attempts.parquet")
-    assert attempts["attempt"].tolist() == ["default", "more_pairs", "more_features"]
+    assert attempts["attempt"].tolist() == ["default", "more_pairs", "more_features", "vio_start"]
     assert set(attempts["outcome"]) == {"too_few_registered"} and attempts["selected"].sum() == 1
     assert "only 6 of 14 frames registered, which align refuses" in said
     assert pd.read_parquet(folder / "images.parquet")["registered"].sum() == 6
