@@ -161,6 +161,7 @@ def test_a_page_of_a_long_walk_is_there_soon(browser: Any, make_run: Callable[..
     execute(STAGE, "Yard", "tiny", data)
     context = browser.new_context(viewport={"width": 1280, "height": 900})
     page = opened(context, data.run("tiny", "Yard"))
+    page.wait_for_function("performance.getEntriesByName('first-contentful-paint').length > 0")
     paint_s = page.evaluate("performance.getEntriesByName('first-contentful-paint')[0].startTime") / 1000
     choose = """([at, name]) => {
         const control = document.querySelector(at), start = performance.now();
