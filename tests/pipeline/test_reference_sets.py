@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from groundwalk.alignment.__main__ import app as alignment_app
 from groundwalk.alignment.definition import STAGE as ALIGN
 from groundwalk.capture_import.definition import STAGE as IMPORT
+from groundwalk.cli import app
 from groundwalk.geometry.fits import fit_sim3, pose_residuals
 from groundwalk.sfm.definition import STAGE as SFM
 from groundwalk.simulation.__main__ import app as simulation_app
@@ -49,7 +49,8 @@ def test_an_exported_scene_comes_back(data: DataRoot, name: str) -> None:
     scene = f"{SCENE}-{name}"
     arguments = ["export", "--scene", SCENE, "--profile", "tiny", "--data", str(data.root), "--format", name]
     arguments += ["--images", "copy", "--out", str(data.captures(scene))]
-    CliRunner().invoke(alignment_app, arguments, catch_exceptions=False)
+    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
     folder = execute(IMPORT, scene, "tiny", data, ["sampling='all'"])
     frames = pd.read_parquet(folder / "frames.parquet")
     assert len(frames) == 100 and frames["vio_cam_tx"].isna().all()
