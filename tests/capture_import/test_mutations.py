@@ -94,8 +94,8 @@ def test_damaged_captures(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", WRITERS)
 def test_many_damaged_captures(tmp_path: Path, name: str) -> None:
     imported = run_mutations(name, 700, tmp_path, seed=1)
-    # Most damage costs rows, not the capture.
-    assert imported > 100
+    # Damage costs rows, not the capture, unless that is two files, a log and a video.
+    assert imported > 50
 
 
 @pytest.mark.parametrize("name", ["../evil.txt", "/evil.txt", "a/../../evil.txt", "..\\evil.txt", "C:\\evil.txt"])
