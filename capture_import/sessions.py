@@ -2,7 +2,6 @@
 
 import math
 from bisect import bisect_right
-from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import pairwise
@@ -43,7 +42,7 @@ def sound_sessions(
     sharp than `min_relative_sharpness` of the median is rejected.
     """
     frames, rejects = check_rows(recording)
-    stated = Counter((frame.intrinsics.width, frame.intrinsics.height) for frame in frames if frame.intrinsics)
+    stated = [frame.intrinsics for frame in frames]
     frames, bad = _with_sound_images(recording, frames, check_images, min_relative_sharpness)
     rejects += bad
     recording = replace(recording, notes=[*recording.notes, *_notes_on_scaled(frames, stated)])
@@ -146,17 +145,18 @@ def _at_size_of_image(frame: RawFrame, check: ImageCheck) -> RawFrame:
     return replace(frame, intrinsics=replace(at_size, distortion=camera.distortion, focal_sd=camera.focal_sd))
 
 
-def _notes_on_scaled(frames: list[RawFrame], stated: Counter[tuple[int | None, int | None]]) -> list[str]:
-    """A line on images whose intrinsics were for another size."""
-    sizes = Counter((image.check.width, image.check.height) for image in frames if isinstance(image, Image))
-    odd = [size for size in sizes if size not in stated and (None, None) not in stated]
-    if not odd:
-        return []
-    (width, height), (was_width, was_height) = odd[0], stated.most_common(1)[0][0]
-    return [
-        f"{sum(sizes[size] for size in odd)} images are {width}x{height}, their intrinsics for {was_width}x"
-        f"{was_height}: scaled"
+def _notes_on_scaled(frames: list[RawFrame], stated: list[Intrinsics | None]) -> list[str]:
+    """A line on images whose intrinsics were `stated` for another size."""
+    scaled = [
+        (image.camera, before)
+        for image, before in zip(frames, stated, strict=True)
+        if isinstance(image, Image) and before is not None and image.camera is not before
     ]
+    if not scaled:
+        return []
+    now, before = scaled[0]
+    sizes = f"{now.width}x{now.height}, their intrinsics for {before.width}x{before.height}"
+    return [f"{len(scaled)} images are {sizes}: scaled"]
 
 
 def _image_fault(frame: RawFrame, check: ImageCheck) -> str | None:

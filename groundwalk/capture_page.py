@@ -1,7 +1,7 @@
 """The page of a capture before import: what it looks like, how it was walked, and what to do better."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -262,7 +262,7 @@ def _views_near(of: Look, among: Look) -> NDArray[np.bool_]:
 
 def _few(look: Look) -> Look:
     """A look at images of at most 800, evenly, as each is compared with each."""
-    return Look(**{**vars(look), "poses": look.poses[evenly(len(look.poses), _MAX_MARKS)]})
+    return replace(look, poses=look.poses[evenly(len(look.poses), _MAX_MARKS)])
 
 
 def _sees_same(look: Look, other: Look) -> NDArray[np.bool_]:

@@ -285,13 +285,13 @@ def estimated_lens(prior: CalibratedLens, matches: PairMatches, frames: pd.DataF
             limit_s = max(_MIN_WRONG_SIGMAS * np.sqrt(weak.covariance[2, 2]), _MIN_WRONG_READOUT_S)
             is_denied = abs(weak.parameters[2] - prior.stated_readout_s) > limit_s
             readout_is_wrong = bool(is_denied and np.median(at_weak) < np.median(at_prior))
-        stands = prior.origin == CameraOrigin.STATED and not wrong
-        if readout_is_wrong or stands or (wrong and not is_held):
+        is_open = prior.origin == CameraOrigin.STATED and not is_held
+        if readout_is_wrong or is_open:
             covariance, k3_sd = np.array(prior.prior_covariance), prior.prior_k3_sd
-            if stands:
+            if is_open and not wrong:
                 # What leads pairs astray, as a rolling shutter without VIO, would lead the model further.
                 covariance[:2, :2], k3_sd, is_held = np.eye(2) / EXACT_INFORMATION, EXACT_INFORMATION**-0.5, True
-            elif wrong and not is_held:
+            elif is_open:
                 covariance[:2, :2], k3_sd = _WEAK_PRIOR[:2, :2], _K3_SD
             if readout_is_wrong:
                 covariance[2, 2] = _WEAK_PRIOR[2, 2]
