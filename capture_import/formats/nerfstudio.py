@@ -109,7 +109,7 @@ def read(path: Path, limits: Limits) -> Recording:
     assumed = [note for note, key in _ASSUMED.items() if any(key not in stated for *_, (_, stated) in own)]
     recording = read_reference(path, data_set, own, read_row, tested, [*notes_on_missing_folders(rows), *assumed])
     # Rows without an image are of no folder: they are listed once, with the first image's recording.
-    is_first = bool(rows) and rows[0][0] in {source for source, *_ in own}
+    is_first = not rows or rows[0][0] in {source for source, *_ in own}
     return replace(recording, rejects=[*recording.rejects, *nameless]) if is_first else recording
 
 
@@ -129,7 +129,7 @@ def _image(data_set: Path, row: Any) -> Path:
     # As Windows parts names, and of a path on another machine the end that is here.
     parts = name.replace("\\", "/").split("/") if isinstance(name, str) else []
     ends = [end for n in range(len(parts)) if (end := "/".join(parts[n:])) and not leads_outside(end)]
-    images = (_with_suffix(data_set / end) for end in ends)
+    images = (_with_suffix(folder / end) for end in ends for folder in (data_set, data_set / "images"))
     return next((image for image in images if image.is_file()), None) or _with_suffix(parsing.inside(data_set, name))
 
 

@@ -268,9 +268,13 @@ def test_rows_of_nerfstudio_without_an_image_are_rejects(tmp_path: Path) -> None
     nameless = [{"transform_matrix": np.eye(4).tolist()}, 7]
     raw = changed(tmp_path, make_walk(6), lambda content: content["frames"].extend(nameless))
     assert [r.reason.split(":")[0] for r in raw.rejects] == ["names no image"] * 2
+    with pytest.raises(UserError, match="names no image"):
+        changed(tmp_path, make_walk(6), lambda content: content.update(frames=nameless))
 
 
-@pytest.mark.parametrize("name", ["/home/me/images/{:04d}.jpg", "../other/images/{:04d}.jpg", "images\\{:04d}"])
+@pytest.mark.parametrize(
+    "name", ["/home/me/images/{:04d}.jpg", "../other/images/{:04d}.jpg", "../photos\\{:04d}.jpg", "images\\{:04d}"]
+)
 def test_images_of_paths_elsewhere_are_found_here_and_a_last_row_may_be_left_out(tmp_path: Path, name: str) -> None:
     walk = make_walk(4)
 
