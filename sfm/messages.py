@@ -21,6 +21,7 @@ from groundwalk.store.hints import setting_of
 _MAX_COHERENCE = 4.0
 # No phone's sensor takes as long to read its rows, and so many sigmas are clear.
 _SENSORS_READOUT_S, _READOUT_SIGMAS = 0.045, 3.0
+_MAX_LENSES = 6
 _FRAMES_AT_ENDS = 2  # of a session
 _CLEAR_SIGMAS = 2.0
 # A time offset is worth a line where it is so large and so clear.
@@ -130,12 +131,16 @@ def report_cameras(
     r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: pd.DataFrame, frames: pd.DataFrame
 ) -> None:
     """A line for each lens, and for each session whose logged focal lengths are likely wrong, or that has none."""
-    for lens in lenses.to_dict("records"):
-        r.say(
-            f"lens of {lens['lens_id']}: "
-            + "".join(f"{name} {_with_sd(lens[name], lens[f'{name}_sd'], '.4f')}, " for name in ("k1", "k2", "k3"))
-            + f"readout {_with_sd(1000 * lens['readout_s'], 1000 * lens['readout_sd_s'], '.1f')} ms ({lens['origin']})"
-        )
+    for number, lens in enumerate(lenses.to_dict("records")):
+        if number < _MAX_LENSES:
+            readout = _with_sd(1000 * lens["readout_s"], 1000 * lens["readout_sd_s"], ".1f")
+            r.say(
+                f"lens of {lens['lens_id']}: "
+                + "".join(f"{name} {_with_sd(lens[name], lens[f'{name}_sd'], '.4f')}, " for name in ("k1", "k2", "k3"))
+                + f"readout {readout} ms ({lens['origin']})"
+            )
+        elif number == _MAX_LENSES:
+            r.say(f"{len(lenses) - number} more lenses: lenses.parquet")
         if abs(lens["readout_s"]) - _READOUT_SIGMAS * lens["readout_sd_s"] > _SENSORS_READOUT_S:
             r.say(
                 f"lens of {lens['lens_id']}: no sensor takes {1000 * abs(lens['readout_s']):.0f} ms to read its rows "

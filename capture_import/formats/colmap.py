@@ -8,6 +8,8 @@ Documented at https://colmap.github.io/format.html. What matters:
 - camera models SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are used as stated, and fisheye
   ones become FULL_OPENCV's coefficients; images of others are left out;
 - nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
+- without `single_camera` COLMAP gives each image a camera of its own, though one phone took them all: where their focal
+  lengths are alike, they're taken for one, of the medians;
 - the images' folder is the one in which the model's names lie: `images/`, or any other beside the model;
 - each image has its own pose, also where cameras form a rig: `rigs` and `frames` (COLMAP 3.12) aren't needed;
 - where `sparse/` holds several models, each has a world of its own: the largest is read, of our own exports all;
@@ -22,8 +24,10 @@ import contextlib
 import functools
 import os
 import struct
-from collections.abc import Iterable, Iterator
-from itertools import islice
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import compress, islice
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -62,6 +66,11 @@ _MODELS = {
 _LONGEST_NAME = 1 << 12
 # Folders of tools in which a model lies while its images lie beside them: nerfstudio, 3D Gaussian splatting, scripts.
 _WORKSPACES = ("colmap", "distorted", "output", "model")
+# Cameras of one image each are one camera where so many have a focal length this close to the median, about which they
+# scatter by no more than this (one standard deviation). Beyond the second scatter the median is uncertain by it, beyond
+# that of k1 distortion isn't known.
+_MIN_CAMERAS, _ALIKE_SHARE, _ALIKE_FOCAL, _ALIKE_SCATTER = 3, 0.8, 0.15, 0.05
+_SURE_SCATTER, _MAX_K1_SCATTER = 0.03, 0.02
 
 
 class _Camera(NamedTuple):
@@ -69,6 +78,7 @@ class _Camera(NamedTuple):
     width: int
     height: int
     params: tuple[float, ...]
+    focal_sd: float = 0.0
 
 
 class _Image(NamedTuple):
@@ -161,7 +171,11 @@ def read(path: Path, limits: Limits) -> Recording:
                 f"{largest.relative_to(folder)} is read, the model with most images ({len(listed)}); each has a world "
                 f"of its own, so these aren't: {counts}"
             )
-    by_source = {f"{m.name} {i.name}": (i, cameras.get(i.camera)) for m, (cameras, of_m) in used.items() for i in of_m}
+    by_source = dict[str, tuple[_Image, _Camera | None]]()
+    for model, (cameras, images) in used.items():
+        shared, said = _shared_cameras(cameras, images)
+        notes.extend(said)
+        by_source |= {f"{model.name} {image.name}": (image, shared.get(image.camera)) for image in images}
     try:
         rows = [(source, parsing.inside(data_set.images, row[0].name), row) for source, row in by_source.items()]
     except parsing.BadRow as error:
@@ -182,6 +196,37 @@ def read(path: Path, limits: Limits) -> Recording:
 
     notes = [*notes_on_missing_folders(rows), *notes]
     return read_reference(path, folder, rows_of(folder, path, rows), read_row, tested, notes)
+
+
+def _shared_cameras(cameras: dict[int, _Camera], images: Sequence[_Image]) -> tuple[dict[int, _Camera], list[str]]:
+    """The cameras, of which those of one image each that are alike have the same parameters; and a note on them."""
+    uses = Counter(image.camera for image in images)
+    alone = defaultdict[tuple[str, int, int], list[int]](list)
+    for number, camera in cameras.items():
+        count, focal = _MODELS.get(camera.model, (0, 0))
+        if uses[number] == 1 and focal and len(camera.params) == count:
+            alone[camera.model, camera.width, camera.height].append(number)
+    joined, said = dict[int, _Camera](), list[str]()
+    for (model, width, height), numbers in alone.items():
+        params = np.array([cameras[number].params for number in numbers])
+        alike = np.abs(params[:, 0] / np.median(params[:, 0]) - 1) < _ALIKE_FOCAL
+        middle = np.median(params[alike], axis=0)
+        scatter = 1.4826 * np.median(np.abs(params[alike] - middle), axis=0)
+        focal_scatter, rest = float(scatter[0] / middle[0]), _MODELS[model][1] + 2
+        if alike.sum() < max(_MIN_CAMERAS, _ALIKE_SHARE * len(numbers)) or not focal_scatter <= _ALIKE_SCATTER:
+            continue
+        if (scatter[rest : rest + 1] > _MAX_K1_SCATTER).any():
+            middle[rest:] = 0
+        focal_sd = focal_scatter if focal_scatter > _SURE_SCATTER else 0.0
+        camera = _Camera(model, width, height, tuple(middle.tolist()), focal_sd)
+        joined |= dict.fromkeys(compress(numbers, alike), camera)
+        said.append(
+            f"{width}x{height}, focal length {middle[0]:.0f} px (theirs scatter by {100 * focal_scatter:.1f} %)"
+        )
+    if not said:
+        return cameras, []
+    count = f"a single one of {said[0]}" if len(said) == 1 else f"{len(said)}, such as one of {said[0]}"
+    return cameras | joined, [f"{len(joined)} images have a camera each: taken for {count}"]
 
 
 def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[_Image]]:
@@ -277,8 +322,10 @@ def _intrinsics(camera: _Camera) -> Intrinsics:
     fx, fy, (cx, cy, *rest) = camera.params[0], camera.params[focal - 1], camera.params[focal:]
     distortion = (*rest, *[0.0] * (4 - len(rest)))
     if camera.model.endswith("FISHEYE"):
-        return parsing.fisheye_intrinsics((fx, fy, cx, cy), camera.width, camera.height, distortion)
-    return Intrinsics(fx, fy, cx, cy, camera.width, camera.height, distortion if any(rest) else ())
+        fisheye = parsing.fisheye_intrinsics((fx, fy, cx, cy), camera.width, camera.height, distortion)
+        return replace(fisheye, focal_sd=camera.focal_sd)
+    known = distortion if any(rest) else ()
+    return Intrinsics(fx, fy, cx, cy, camera.width, camera.height, known, camera.focal_sd)
 
 
 FORMAT = Format(

@@ -122,6 +122,35 @@ def test_cameras_that_cannot_be_used_are_left_out_by_name(
     assert re.search(reason, session.rejects[0].reason)
 
 
+@pytest.mark.parametrize(
+    ("factors", "focal_px", "focal_sd", "k1"),
+    [
+        ([0.99, 1.0, 1.01, 1.02, 1.3], [80.4, 80.4, 80.4, 80.4, 104], 0, 0.05),  # one is another lens
+        ([0.94, 0.99, 1.03, 1.05, 1.0], [80] * 5, 0.044, 0.05),  # alike, but not known well
+        ([0.7, 0.8, 1.0, 1.3, 1.6], [56, 64, 80, 104, 128], 0, 0.05),  # photos of many cameras
+    ],
+)
+def test_a_camera_for_each_image_is_one_camera_where_they_are_alike(
+    tmp_path: Path, factors: list[float], focal_px: list[float], focal_sd: float, k1: float
+) -> None:
+    write_colmap(tmp_path / "walk", make_walk(5, every=1))
+    rewritten(tmp_path / "walk", text=True)
+    sparse = tmp_path / "walk" / "sparse" / "0"
+    lines = [line for line in (sparse / "images.txt").read_text().splitlines() if not line.startswith("#")]
+    rows = [line.split() for line in lines[::2]]
+    cameras = [f"{n} SIMPLE_RADIAL 96 72 {80 * factor} 48 36 {k1}" for n, factor in enumerate(factors, 1)]
+    (sparse / "cameras.txt").write_text("\n".join(cameras))
+    (sparse / "images.txt").write_text(
+        "".join(f"{' '.join([*r[:8], str(n), r[9]])}\n\n" for n, r in enumerate(rows, 1))
+    )
+    (session,) = read_all(tmp_path)
+    found = [there(frame.intrinsics) for frame in session.frames]
+    assert [camera.fx for camera in found] == pytest.approx(focal_px, abs=0.5)
+    assert [camera.distortion[0] for camera in found] == [k1] * 5
+    assert found[0].focal_sd == pytest.approx(focal_sd, abs=0.002)
+    assert any("have a camera each" in note for note in session.notes) == (len(set(focal_px)) < 5)
+
+
 @pytest.mark.parametrize("suffix", [".bin", ".txt"])
 def test_a_model_beyond_the_limits_is_refused(tmp_path: Path, suffix: str) -> None:
     write_colmap(tmp_path / "walk", make_walk(8))
