@@ -76,7 +76,7 @@ def with_focal_lengths(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Wor
             count = len(rows) * (len(rows) - 1) // 2
             write_json(path, work.in_child("estimating focal lengths", Task(estimate_focal_lengths, arguments, count)))
     found: dict[str, float] = json.loads(path.read_text())
-    for session_id in frames.loc[frames["focal_sd"] > 0, "session_id"].unique():
+    for session_id in frames.loc[frames["focal_sd"] >= ESTIMATED_SD, "session_id"].unique():
         of_session = frames["session_id"] == session_id
         before_px = float(frames.loc[of_session, "fx"].median())
         if (focal_px := found.get(session_id)) is None:

@@ -22,7 +22,8 @@ from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.child import Report
 
 ESTIMATED_SD = 0.05
-"""Of such a focal length, as a fraction: round one object, or of few images, it comes out some per cent off."""
+"""Of such a focal length, as a fraction: round one object, or of few images, it comes out some per cent off. So ones
+that are known better aren't estimated."""
 # As many images that follow each other, all pairs of which are matched.
 _MAX_IMAGES = 30
 # Where nothing is stated: what mapping starts from, in longer sides of the image. Phones' main cameras, and others.
@@ -31,11 +32,11 @@ _MIN_IMAGES = 3
 
 
 def sample_unstated(frames: pd.DataFrame) -> Ints:
-    """Rows of the frames table whose focal lengths aren't logged, of each session those of its most usual size: all, or
-    so many from the middle of their order."""
+    """Rows of the frames table whose focal lengths nothing states well, of each session those of its most usual size:
+    all, or so many from the middle of their order."""
     size = frames["width"].astype(str) + "x" + frames["height"].astype(str)
     usual = size.groupby(frames["session_id"]).transform(lambda of_session: of_session.mode().iloc[0])
-    rows = np.flatnonzero((frames["focal_sd"] > 0) & (size == usual))
+    rows = np.flatnonzero((frames["focal_sd"] >= ESTIMATED_SD) & (size == usual))
     first = max(0, (len(rows) - _MAX_IMAGES) // 2)
     return rows[first : first + _MAX_IMAGES]
 
