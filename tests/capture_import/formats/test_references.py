@@ -122,6 +122,18 @@ def test_cameras_that_cannot_be_used_are_left_out_by_name(
     assert re.search(reason, session.rejects[0].reason)
 
 
+@pytest.mark.parametrize(
+    ("beside", "lens"), [("images_2", ()), ("stereo", (0.0,) * 4), ("run-colmap-geometric.sh", (0.0,) * 4)]
+)
+def test_a_pinhole_of_undistorted_images_states_that_there_is_no_distortion(
+    tmp_path: Path, beside: str, lens: tuple[float, ...]
+) -> None:
+    write_colmap(tmp_path / "dense" / "0", make_walk(4))
+    (tmp_path / "dense" / "0" / beside).mkdir()
+    (raw,) = read_all(tmp_path / "dense")
+    assert {there(frame.intrinsics).distortion for frame in raw.frames} == {lens}
+
+
 @pytest.mark.parametrize("suffix", [".bin", ".txt"])
 def test_a_model_beyond_the_limits_is_refused(tmp_path: Path, suffix: str) -> None:
     write_colmap(tmp_path / "walk", make_walk(8))
@@ -137,6 +149,9 @@ def test_points_that_end_beyond_the_file_and_a_wrong_number_of_parameters_are_re
     write_colmap(tmp_path / "walk", make_walk(4))
     rewritten(tmp_path / "walk")
     images = tmp_path / "walk" / "sparse" / "0" / "images.bin"
+    images.write_bytes(images.read_bytes().replace(b"000000.jpg", b"00000\xe9.jpg"))
+    (raw,) = read_all(tmp_path)  # a name that isn't UTF-8 costs its image
+    assert len(raw.frames) == 2 and [reject.source for reject in raw.rejects] == ["images/000000.jpg"]
     images.write_bytes(images.read_bytes()[:-1])
     with pytest.raises(UserError, match="points of"):
         read_all(tmp_path)
