@@ -64,22 +64,19 @@ def read_fixes(
     fixes, rejects = [], []
     for place, (source, row) in enumerate(rows):
         try:
-            if (fix := read(place, row)) is not None:
-                fixes.append(_checked_fix(fix))
+            if (fix := read(place, row)) is None:
+                continue
+            latitude, longitude = fix.latitude_deg, fix.longitude_deg
+            if not (abs(latitude) <= 90 and abs(longitude) <= 180) or latitude == longitude == 0:
+                raise BadRow("GPS: latitude and longitude aren't a place on earth")
+            # Phones state what they don't know as 0 or below.
+            if not math.isnan(fix.accuracy_m) and not 0 < fix.accuracy_m < math.inf:
+                raise BadRow(f"GPS: an accuracy of {fix.accuracy_m:g} m says that there is no position")
+            is_known = math.isfinite(fix.altitude_m) and not fix.altitude_sd_m <= 0
+            fixes.append(fix if is_known else replace(fix, altitude_m=math.nan, altitude_sd_m=math.nan))
         except BadRow as error:
             rejects.append(Reject(source, None, str(error)))
     return fixes, rejects
-
-
-def _checked_fix(fix: GpsFix) -> GpsFix:
-    latitude, longitude = fix.latitude_deg, fix.longitude_deg
-    if not (abs(latitude) <= 90 and abs(longitude) <= 180) or latitude == longitude == 0:
-        raise BadRow("GPS: latitude and longitude aren't a place on earth")
-    # Phones state what they don't know as 0 or below.
-    if not math.isnan(fix.accuracy_m) and not 0 < fix.accuracy_m < math.inf:
-        raise BadRow(f"GPS: an accuracy of {fix.accuracy_m:g} m says that there is no position")
-    is_known = math.isfinite(fix.altitude_m) and not fix.altitude_sd_m <= 0
-    return fix if is_known else replace(fix, altitude_m=math.nan, altitude_sd_m=math.nan)
 
 
 def join_by_time(poses: Sequence[RawFrame], images: Sequence[RawFrame]) -> list[RawFrame]:

@@ -26,7 +26,7 @@ from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.capture_import.media.upright import first_row, quarters_to_upright, turned
 from groundwalk.capture_import.origin import describe_origin, far_origin, moved
 from groundwalk.capture_import.recording import blueprint, log_session
-from groundwalk.capture_import.selection import select_enough
+from groundwalk.capture_import.sampling import select_enough
 from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.splits import LEAK_S, SplitResult, nearest_split, refuse_lists, split_frames

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.capture_import.capture import GpsFix, Session, poses_of
-from groundwalk.capture_import.selection import Selection
+from groundwalk.capture_import.sampling import Selection
 from groundwalk.capture_import.sessions import duration, path_length
 from groundwalk.geometry.gravity import gravity_in_camera
 from groundwalk.geometry.poses import Array

@@ -38,9 +38,7 @@ from groundwalk.capture_import.capture import Intrinsics, Limits, Recording
 from groundwalk.capture_import.data_sets import (
     data_set_of,
     is_metric_export,
-    notes_on_missing_folders,
     read_reference,
-    rows_of,
 )
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import in_order
@@ -190,8 +188,7 @@ def read(path: Path, limits: Limits) -> Recording:
             stated = replace(stated, distortion=(0.0,) * 4)
         return inverse(cam_T_world), stated
 
-    notes = [*notes_on_missing_folders(rows), *notes]
-    return read_reference(path, folder, rows_of(folder, path, rows), read_row, tested, notes)
+    return read_reference(path, folder, rows, read_row, tested, notes)
 
 
 def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[_Image]]:

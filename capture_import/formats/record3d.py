@@ -19,7 +19,7 @@ from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in
-from groundwalk.capture_import.media.float_depth import missing_decoder
+from groundwalk.capture_import.media.depth import missing_decoder
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 

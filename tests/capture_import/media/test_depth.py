@@ -1,6 +1,5 @@
 """Depth images: found by each format, checked, and kept where images are kept."""
 
-import struct
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -121,28 +120,6 @@ def test_a_broken_depth_image_costs_the_depth_not_the_frame(
     assert rejects["source"].tolist() == ["depth_00002.png"] and reason in rejects["reason"][0]
 
 
-def exr(pixels: np.ndarray) -> bytes:
-    """An uncompressed OpenEXR image with one channel, R, of float32, by the format's description at openexr.com."""
-    height, width = pixels.shape
-    box = struct.pack("<4i", 0, 0, width - 1, height - 1)
-    attributes = [
-        (b"channels", b"chlist", b"R\0" + struct.pack("<4i", 2, 0, 1, 1) + b"\0"),
-        (b"compression", b"compression", b"\0"),
-        (b"dataWindow", b"box2i", box),
-        (b"displayWindow", b"box2i", box),
-        (b"lineOrder", b"lineOrder", b"\0"),
-        (b"pixelAspectRatio", b"float", struct.pack("<f", 1)),
-        (b"screenWindowCenter", b"v2f", struct.pack("<2f", 0, 0)),
-        (b"screenWindowWidth", b"float", struct.pack("<f", 1)),
-    ]
-    head = b"\x76\x2f\x31\x01" + struct.pack("<i", 2)
-    sized = [(name, kind, struct.pack("<i", len(value)) + value) for name, kind, value in attributes]
-    head += b"".join(b"\0".join(parts) for parts in sized) + b"\0"
-    lines = [struct.pack("<2i", y, 4 * width) + row.tobytes() for y, row in enumerate(pixels.astype("<f4"))]
-    starts = len(head) + 8 * height + len(lines[0]) * np.arange(height, dtype="<u8")
-    return head + starts.tobytes() + b"".join(lines)
-
-
 def depth_m(index: int) -> np.ndarray:
     """`depth_mm` as Record3D has it, with three pixels that have no depth."""
     metres = depth_mm(index).astype(np.float32) / 1000
@@ -200,11 +177,12 @@ def test_depth_of_an_exported_folder_is_read_where_exr_is_turned_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "captures" / "place" / "walk"
+    monkeypatch.setenv("OPENCV_IO_ENABLE_OPENEXR", "1")
     write_record3d(folder, make_walk(8))
     (folder / "depth").mkdir()
     for i in range(8):
-        (folder / "depth" / f"{i}.exr").write_bytes(exr(depth_m(i)))
-    monkeypatch.delenv("OPENCV_IO_ENABLE_OPENEXR", raising=False)
+        cv2.imwrite(str(folder / "depth" / f"{i}.exr"), depth_m(i), [cv2.IMWRITE_EXR_TYPE, cv2.IMWRITE_EXR_TYPE_FLOAT])
+    monkeypatch.delenv("OPENCV_IO_ENABLE_OPENEXR")
     raw = find_one(folder).read(Limits())
     assert not any(frame.depth for frame in raw.frames)
     assert any("OPENCV_IO_ENABLE_OPENEXR=1" in note for note in raw.notes)
@@ -216,7 +194,7 @@ def test_depth_of_an_exported_folder_is_read_where_exr_is_turned_on(
 
 def test_without_a_decoder_the_note_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     r3d(tmp_path / "place" / "walk", make_walk(8), lambda data: b"bvx-" + data)
-    monkeypatch.setattr("groundwalk.capture_import.media.float_depth.find_spec", lambda name: None)
+    monkeypatch.setattr("groundwalk.capture_import.media.depth.find_spec", lambda name: None)
     raw = find_one(tmp_path / "place").read(Limits())
     assert len(raw.frames) == 8 and not any(frame.depth for frame in raw.frames)
     assert any("pip install 'groundwalk[record3d]'" in note for note in raw.notes)
