@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from groundwalk.capture_import.capture import Image, ImageCheck, Recording, Session
 from groundwalk.capture_import.sampling import density_for, motion_steps, sample_between, sample_rate, select
 from groundwalk.capture_import.settings import ImportSettings
-from groundwalk.capture_import.splits import LEAK_S, leak_seconds, refuse_lists, split_frames
+from groundwalk.capture_import.splits import LEAK_S, refuse_lists, split_frames
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
@@ -193,13 +193,3 @@ def test_a_leak_between_listed_parts_is_refused_unless_allowed() -> None:
         split_frames(frames, SplitRules(test=["walk.part2"], val_fraction=0), by_time=False)
     rules = SplitRules(test=["walk.part2"], val_fraction=0, allow_leak=True)
     assert split_frames(frames, rules, by_time=False).leak_s == pytest.approx(2.0)
-
-
-@given(st.lists(st.floats(0, 100), min_size=2, max_size=50), st.integers(0, 2**32 - 1))
-def test_leak_is_the_shortest_time(seconds: list[float], seed: int) -> None:
-    frames = frames_of(walk=np.sort(seconds))
-    split = np.random.default_rng(seed).choice(np.array(["train", "test"], dtype=object), len(frames))
-    t = frames["t_ns"].to_numpy() * 1e-9
-    apart = [abs(a - b) for a in t[split == "train"] for b in t[split == "test"]]
-    leak = leak_seconds(frames, split)
-    assert leak == (pytest.approx(min(apart), abs=1e-6) if apart else None)
