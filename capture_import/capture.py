@@ -82,12 +82,6 @@ class Intrinsics:
     distortion: tuple[float, ...] = ()
     focal_sd: float = 0.0
 
-    @classmethod
-    def of(cls, fx_fy_cx_cy: Iterable[float], width: int | None = None, height: int | None = None) -> "Intrinsics":
-        """From the four numbers as most logs have them in a row."""
-        fx, fy, cx, cy = fx_fy_cx_cy
-        return cls(fx, fy, cx, cy, width, height)
-
 
 @dataclass(frozen=True)
 class RawFrame:

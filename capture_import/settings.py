@@ -34,9 +34,6 @@ class ImportSettings(Settings):
         description="side of the images, as captured, that the sensor reads out first (rolling shutter); auto: what "
         "the capture states, or else top, and right of images higher than wide",
     )
-    upright: bool = Field(
-        False, description="turn images upright by gravity, a quarter turn at a time, with intrinsics and poses"
-    )
     blur: bool = Field(False, description="make faces and licence plates that a detector finds unrecognisable")
     gps: bool = Field(
         False,

@@ -31,9 +31,9 @@ def read(path: Path, limits: Limits) -> Recording:
     video = path / "Frames.m4v"
 
     def read_image(index: int, line: str) -> RawFrame:
-        time_s, _, *camera = parsing.split_numbers(line, 6, ",")
+        time_s, _, fx, fy, cx, cy = parsing.split_numbers(line, 6, ",")
         image = VideoFrame(video, index)
-        return RawFrame(parsing.seconds_to_ns(time_s), image=image, intrinsics=Intrinsics.of(camera))
+        return RawFrame(parsing.seconds_to_ns(time_s), image=image, intrinsics=Intrinsics(fx, fy, cx, cy))
 
     images, more = parsing.read_rows(rows, read_image)
     notes = check_join(video, "Frames.txt", images, len(rows), limits)

@@ -71,7 +71,8 @@ def _intrinsics(content: dict[str, Any], index: int) -> Intrinsics:
     width, height = parsing.whole(content, "w"), parsing.whole(content, "h")
     per_frame = content.get("perFrameIntrinsicCoeffs")
     if isinstance(per_frame, list) and index < len(per_frame):
-        return Intrinsics.of(parsing.to_numbers(per_frame[index], "row", 4), width, height)
+        fx, fy, cx, cy = parsing.to_numbers(per_frame[index], "row", 4).tolist()
+        return Intrinsics(fx, fy, cx, cy, width, height)
     fx, _, _, _, fy, _, cx, cy, _ = parsing.numbers(content, "K", 9)
     return Intrinsics(fx, fy, cx, cy, width, height)
 

@@ -57,8 +57,6 @@ def _place(image: Image, where: Placement) -> dict[str, str] | tuple[str, str]:
     if depth is None:
         return {}
     size = (image.check.width, image.check.height)
-    if where.quarters % 2:  # that of the image as it was captured
-        size = size[::-1]
     columns: dict[str, str] = {}
     shape: tuple[int, ...] | None = None
     for kind, file, dtype in (("depth", depth.path, np.uint16), ("depth_confidence", depth.confidence, np.uint8)):
@@ -76,8 +74,8 @@ def _place(image: Image, where: Placement) -> dict[str, str] | tuple[str, str]:
         except BadImage as error:
             return file.name, f"{what} {error}"
         shape = pixels.shape
-        if where.quarters or file.suffix != ".png":
-            data = cv2.imencode(".png", np.ascontiguousarray(np.rot90(pixels, -where.quarters)))[1].tobytes()
+        if file.suffix != ".png":
+            data = cv2.imencode(".png", pixels)[1].tobytes()
         elif where.stays(file):
             columns[kind] = file.relative_to(where.root).as_posix()
         if kind not in columns:

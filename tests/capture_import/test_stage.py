@@ -244,6 +244,28 @@ def test_user_mistakes_are_told_in_a_few_lines(tmp_path: Path) -> None:
         run_import(tmp_path, "bytes")
 
 
+def test_what_a_capture_states_of_its_shutter_is_in_frames_and_an_absurd_readout_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "captures" / "place" / "walk"
+    write_frames_jsonl(folder, make_walk(8))
+    log = folder / "frames.jsonl"
+    as_written = log.read_text()
+
+    def stated(**members: object) -> None:
+        log.write_text(as_written.replace("{", json.dumps(members)[:-1] + ", ", 1))
+
+    for settings, side in (([], "bottom"), (["first_row='left'"], "left")):
+        stated(first_row="bottom", readout_s=0.0187)
+        frames = pd.read_parquet(execute(STAGE, "place", "tiny", DataRoot(tmp_path), settings) / "frames.parquet")
+        assert set(frames["first_row"]) == {side} and set(frames["stated_readout_s"]) == {0.0187}
+    stated(first_row="down")
+    with pytest.raises(UserError, match="first_row"):
+        execute(STAGE, "place", "tiny", DataRoot(tmp_path))
+    for wrong in (18.7, -0.01, True, "20 ms"):
+        stated(readout_s=wrong)
+        with pytest.raises(UserError, match="readout_s, seconds, 0 to 0"):
+            execute(STAGE, "place", "tiny", DataRoot(tmp_path))
+
+
 def _with(walk: Walk, fault: str) -> Walk:
     """The walk with a fault that no single row shows."""
     count, xyz = len(walk.t_ns), walk.vio_T_cam[:, :3, 3]

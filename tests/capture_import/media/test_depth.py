@@ -85,18 +85,6 @@ def test_depth_goes_where_images_go(tmp_path: Path, images: str) -> None:
         assert (pixels == depth_mm(int(row.frame_id[-6:]))).all()
 
 
-def test_turned_images_have_turned_depth(tmp_path: Path) -> None:
-    walk = make_walk(8)
-    turn = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    walk.vio_T_cam[:] = walk.vio_T_cam @ turn
-    write_with_depth(tmp_path / "captures" / "place" / "walk", walk)
-    folder, frames, _ = run(tmp_path, "upright=true")
-    for row in rows(frames):
-        pixels = read_picture(folder / row.depth.removeprefix("import:"), cv2.IMREAD_UNCHANGED)
-        assert pixels.shape[1] / pixels.shape[0] == row.width / row.height
-        assert (pixels == np.rot90(depth_mm(int(row.frame_id[-6:])), -1)).all()
-
-
 @pytest.mark.parametrize(
     ("damage", "reason"),
     [
