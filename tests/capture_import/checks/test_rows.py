@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, Recording
 from groundwalk.capture_import.checks.jumps import find_jumps
 from groundwalk.capture_import.checks.rows import check_rows
-from groundwalk.capture_import.media.images import BadImage, check_image, sharpness
+from groundwalk.capture_import.media.images import sharpness
 from groundwalk.geometry.poses import Array, make_pose, rotation_angle, yaw_rotation
 from groundwalk.store.choices import Clock
 from tests.capture_import.capture_writers import image, make_walk
@@ -102,16 +102,3 @@ def test_sharpness_falls_with_blur_and_not_with_exposure() -> None:
         assert blurred < last
         last = blurred
     assert sharpness((gray * 0.5).astype(np.uint8)) == pytest.approx(sharpness(gray), abs=0.02)
-
-
-@given(st.integers(0, 10**6), st.binary(min_size=1, max_size=20))
-def test_a_damaged_image_is_refused_or_measured(at: int, junk: bytes) -> None:
-    data = bytearray(cv2.imencode(".jpg", image(1))[1].tobytes())
-    at %= len(data)
-    data[at : at + len(junk)] = junk
-    for content in (bytes(data), bytes(data[:at])):
-        try:
-            check = check_image(content, 1.0)
-        except BadImage:
-            continue
-        assert 0 <= check.sharpness <= 1

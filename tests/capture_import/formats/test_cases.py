@@ -21,6 +21,7 @@ from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.scanner_app import FORMAT as SCANNER_APP
 from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.store import DataRoot, UserError, execute
+from tests.capture_import.capture_writers import read_one
 from tests.known import there
 
 
@@ -52,11 +53,6 @@ def make(cases: ModuleType, tmp_path: Path) -> Make:
         return tmp_path / name
 
     return made
-
-
-def read_one(folder: Path, format_name: str = "auto") -> Recording:
-    (found,) = find_recordings(folder, folder.parent / "unpacked", Limits(), format_name)
-    return found.read(Limits())
 
 
 def inspected(folder: Path) -> tuple[list[str], list[str]]:

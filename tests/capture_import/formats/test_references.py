@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,6 @@ import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, Recording
 from groundwalk.capture_import.capture import poses_of as raw_poses_of
@@ -157,18 +154,6 @@ def test_points_that_end_beyond_the_file_and_a_wrong_number_of_parameters_are_re
         read_all(tmp_path)
     with pytest.raises(ValueError, match="4 parameters, not 8"):
         _intrinsics(_Camera("OPENCV", 96, 72, (80.0, 80.0, 48.0, 36.0)))
-
-
-@given(st.binary(max_size=200))
-def test_any_bytes_end_in_a_message(data: bytes) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        root = Path(folder) / "walk"
-        (root / "images").mkdir(parents=True)
-        (root / "images" / "a.jpg").touch()
-        for name in ("cameras.bin", "images.bin"):
-            (root / name).write_bytes(data)
-        with pytest.raises(UserError):
-            read_all(root.parent)
 
 
 def test_nerfstudio_matrices_of_intrinsics_and_scaled_rotations(tmp_path: Path) -> None:

@@ -9,10 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.definition import STAGE
 from groundwalk.store import DataRoot, execute
-from tests.capture_import.capture_writers import WRITERS, Walk, find_one, make_walk, write_record3d
+from tests.capture_import.capture_writers import WRITERS, Walk, make_walk, read_one, write_record3d
 from tests.known import read_picture, rows, there
 
 SHAPE = (12, 16)  # that of the images, 72x96
@@ -49,7 +48,7 @@ def write_with_depth(folder: Path, walk: Walk, name: str = "3d_scanner_app", con
 @pytest.mark.parametrize("name", PLACES)
 def test_each_frame_has_its_own_depth(tmp_path: Path, name: str) -> None:
     write_with_depth(tmp_path / "place" / "walk", make_walk(8), name)
-    frames = find_one(tmp_path / "place").read(Limits()).frames
+    frames = read_one(tmp_path / "place").frames
     assert len(frames) == 8
     for index, depth in enumerate(there(frame.depth) for frame in frames):
         assert (read_picture(depth.path, cv2.IMREAD_UNCHANGED) == depth_mm(index)).all()
@@ -63,7 +62,7 @@ def test_the_real_phone_with_lidar_has_depth_of_all_images(shared_captures: Path
     folder = shared_captures / "charuco" / "test-lowres"
     if not folder.is_dir():
         pytest.skip("no capture with depth")
-    with_image = [frame for frame in find_one(folder).read(Limits()).frames if frame.image is not None]
+    with_image = [frame for frame in read_one(folder).frames if frame.image is not None]
     assert len(with_image) == 31 and all(frame.depth and frame.depth.confidence for frame in with_image)
 
 
@@ -171,7 +170,7 @@ def test_depth_of_an_exported_folder_is_read_where_exr_is_turned_on(
     for i in range(8):
         cv2.imwrite(str(folder / "depth" / f"{i}.exr"), depth_m(i), [cv2.IMWRITE_EXR_TYPE, cv2.IMWRITE_EXR_TYPE_FLOAT])
     monkeypatch.delenv("OPENCV_IO_ENABLE_OPENEXR")
-    raw = find_one(folder).read(Limits())
+    raw = read_one(folder)
     assert not any(frame.depth for frame in raw.frames)
     assert any("OPENCV_IO_ENABLE_OPENEXR=1" in note for note in raw.notes)
     monkeypatch.setenv("OPENCV_IO_ENABLE_OPENEXR", "1")
@@ -183,6 +182,6 @@ def test_depth_of_an_exported_folder_is_read_where_exr_is_turned_on(
 def test_without_a_decoder_the_note_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     r3d(tmp_path / "place" / "walk", make_walk(8), lambda data: b"bvx-" + data)
     monkeypatch.setattr("groundwalk.capture_import.media.depth.find_spec", lambda name: None)
-    raw = find_one(tmp_path / "place").read(Limits())
+    raw = read_one(tmp_path / "place")
     assert len(raw.frames) == 8 and not any(frame.depth for frame in raw.frames)
     assert any("pip install 'groundwalk[record3d]'" in note for note in raw.notes)
