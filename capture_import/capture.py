@@ -69,8 +69,8 @@ class Intrinsics:
     """A pinhole camera in pixels, with (0, 0) the outer corner of the first pixel as in COLMAP.
 
     `width` and `height` are the size that the capture states for them; None where it states none. `distortion` holds
-    OpenCV's coefficients k1, k2, p1, p2, k3, ...; empty for an image that is already a pinhole image. `focal_sd` is the
-    focal length's standard error as a fraction, where it isn't the camera's own: of EXIF's, or a guess.
+    OpenCV's coefficients k1, k2, p1, p2, k3, ...; empty where nothing is stated, zeros where it's stated to be none.
+    `focal_sd` is the focal length's standard error as a fraction, where it isn't the camera's own: EXIF's, or a guess.
     """
 
     fx: float
@@ -81,12 +81,6 @@ class Intrinsics:
     height: int | None = None
     distortion: tuple[float, ...] = ()
     focal_sd: float = 0.0
-
-    @classmethod
-    def of(cls, fx_fy_cx_cy: Iterable[float], width: int | None = None, height: int | None = None) -> "Intrinsics":
-        """From the four numbers as most logs have them in a row."""
-        fx, fy, cx, cy = fx_fy_cx_cy
-        return cls(fx, fy, cx, cy, width, height)
 
 
 @dataclass(frozen=True)

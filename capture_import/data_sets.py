@@ -78,18 +78,6 @@ def data_set_of(path: Path, images_of: Callable[[Path], Path | None]) -> Path | 
     return None
 
 
-def rows_of(data_set: Path, recording: Path, rows: Sequence[tuple[str, Path, Row]]) -> list[tuple[str, Path, Row]]:
-    """The rows (source, image, what is stated) of a data set that are a recording's, in natural order of the images."""
-    own = [row for row in rows if recording == data_set or row[1].parent == recording]
-    return sorted(own, key=lambda row: natural_order(row[1].as_posix()))
-
-
-def notes_on_missing_folders(rows: Sequence[tuple[str, Path, Row]]) -> list[str]:
-    """A note about rows of a data set whose image folders are missing."""
-    lost = [source for source, image, _ in rows if not image.parent.is_dir()]
-    return [f"{len(lost)} rows name images in missing folders, such as {lost[0]}"] if lost else []
-
-
 def read_reference(
     path: Path,
     data_set: Path,
@@ -98,17 +86,22 @@ def read_reference(
     tested: set[Path],
     notes: Sequence[str],
 ) -> Recording:
-    """A recording of images in the order of their names, whose rows have the pose and camera that `read` gives, and may
-    raise BadRow. `tested`: the images that the data set names for testing, empty where it has no split.
+    """The recording `path` of a data set's rows (source, image, what is stated): of images in the order of their names,
+    with the pose and camera that `read` gives, which may raise BadRow. `tested`: the images that the data set names for
+    testing, empty where it has no split.
 
     The unit and up of its world are known of groundwalk's own exports alone."""
+    own = [(source, (image, row)) for source, image, row in rows if path in (data_set, image.parent)]
+    own.sort(key=lambda of_one: natural_order(of_one[1][0].as_posix()))
+    if lost := [source for source, image, _ in rows if not image.parent.is_dir()]:
+        notes = [f"{len(lost)} rows name images in missing folders, such as {lost[0]}", *notes]
 
     def read_row(place: int, row: tuple[Path, Row]) -> RawFrame:
         pose, camera = read(*row)
         split = (SessionSplit.TEST if row[0] in tested else SessionSplit.TRAIN) if tested else None
         return RawFrame(seconds_to_ns(place), pose, ImageFile(row[0]), camera, split=split)
 
-    frames, rejects = read_rows([(source, (image, row)) for source, image, row in rows], read_row)
+    frames, rejects = read_rows(own, read_row)
     ours = is_metric_export(data_set)
     return Recording(
         "unknown",

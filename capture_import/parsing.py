@@ -29,6 +29,7 @@ _CAMERA, _SIZE = ("fx", "fy", "cx", "cy"), ("width", "height")
 _MAX_LINE = 1 << 20
 _MAX_SMALL_FILE = 1 << 20
 _FISHEYE_TOLERANCE_PX = 0.05
+_NOT_UTF8 = "\N{REPLACEMENT CHARACTER}"  # stands for bytes that aren't: they cost what they are in, not the whole log
 # Clocks that were written with microseconds agree to this.
 _SAME_NS = 1_000_000
 
@@ -41,10 +42,12 @@ def read_rows(
     rows: Iterable[tuple[str, Row]], read: Callable[[int, Row], RawFrame]
 ) -> tuple[list[RawFrame], list[Reject]]:
     """The frame of each row, named by its source, by `read(place, row)`; where `read` gives no number, its place among
-    the rows is the frame's. A row that raises BadRow becomes a reject."""
+    the rows is the frame's. A row that raises BadRow, or isn't UTF-8, becomes a reject."""
     frames, rejects = [], []
     for place, (source, row) in enumerate(rows):
         try:
+            if isinstance(row, str) and _NOT_UTF8 in row:
+                raise BadRow("row isn't UTF-8 text")
             frame = read(place, row)
         except BadRow as error:
             rejects.append(Reject(source, None, str(error)))
@@ -61,22 +64,19 @@ def read_fixes(
     fixes, rejects = [], []
     for place, (source, row) in enumerate(rows):
         try:
-            if (fix := read(place, row)) is not None:
-                fixes.append(_checked_fix(fix))
+            if (fix := read(place, row)) is None:
+                continue
+            latitude, longitude = fix.latitude_deg, fix.longitude_deg
+            if not (abs(latitude) <= 90 and abs(longitude) <= 180) or latitude == longitude == 0:
+                raise BadRow("GPS: latitude and longitude aren't a place on earth")
+            # Phones state what they don't know as 0 or below.
+            if not math.isnan(fix.accuracy_m) and not 0 < fix.accuracy_m < math.inf:
+                raise BadRow(f"GPS: an accuracy of {fix.accuracy_m:g} m says that there is no position")
+            is_known = math.isfinite(fix.altitude_m) and not fix.altitude_sd_m <= 0
+            fixes.append(fix if is_known else replace(fix, altitude_m=math.nan, altitude_sd_m=math.nan))
         except BadRow as error:
             rejects.append(Reject(source, None, str(error)))
     return fixes, rejects
-
-
-def _checked_fix(fix: GpsFix) -> GpsFix:
-    latitude, longitude = fix.latitude_deg, fix.longitude_deg
-    if not (abs(latitude) <= 90 and abs(longitude) <= 180) or latitude == longitude == 0:
-        raise BadRow("GPS: latitude and longitude aren't a place on earth")
-    # Phones state what they don't know as 0 or below.
-    if not math.isnan(fix.accuracy_m) and not 0 < fix.accuracy_m < math.inf:
-        raise BadRow(f"GPS: an accuracy of {fix.accuracy_m:g} m says that there is no position")
-    is_known = math.isfinite(fix.altitude_m) and not fix.altitude_sd_m <= 0
-    return fix if is_known else replace(fix, altitude_m=math.nan, altitude_sd_m=math.nan)
 
 
 def join_by_time(poses: Sequence[RawFrame], images: Sequence[RawFrame]) -> list[RawFrame]:
@@ -102,12 +102,10 @@ def join_by_time(poses: Sequence[RawFrame], images: Sequence[RawFrame]) -> list[
 
 
 def read_text(path: Path, max_bytes: int = _MAX_SMALL_FILE) -> str:
-    """A text file in UTF-8; BadRow where it's missing, unreadable, larger than the limit or not UTF-8."""
+    """A text file in UTF-8; BadRow where it's missing, unreadable or larger than the limit."""
     try:
         _refuse_odd_file(path, max_bytes)
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise BadRow("file isn't UTF-8 text") from None
+        return path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise BadRow(f"{path.name} can't be read: {error.strerror}") from None
 
@@ -144,15 +142,13 @@ def numbered_lines(path: Path, limits: Limits) -> Iterator[tuple[int, str]]:
     the file or a line is larger than the limits."""
     try:
         _refuse_odd_file(path, limits.max_text_bytes)
-        with path.open(encoding="utf-8-sig") as file:
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
             for number, line in enumerate(iter(lambda: file.readline(_MAX_LINE + 1), ""), start=1):
                 if len(line) > _MAX_LINE:
                     raise BadRow(f"line {number} is longer than {_MAX_LINE} characters")
                 yield number, line.removesuffix("\n")
     except BadRow as error:
         raise _unreadable(path, error) from None
-    except UnicodeDecodeError:
-        raise _unreadable(path, "file isn't UTF-8 text") from None
     except OSError as error:
         raise _unreadable(path, f"file can't be read: {error.strerror}") from None
 
@@ -185,7 +181,7 @@ def parse_json(text: str) -> dict[str, Any]:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
         reason = str(error).split("\n")[0][:80] or "nested too deep"
-        raise BadRow(f"file isn't JSON: {reason}") from None
+        raise BadRow(f"file isn't {'UTF-8 text' if _NOT_UTF8 in text else f'JSON: {reason}'}") from None
     if not isinstance(content, dict):
         raise BadRow("JSON holds no object")
     return content

@@ -25,6 +25,12 @@ _KEYS = {
     "times": r"time|stamp",
 }
 _LOGS = (".json", ".jsonl", ".csv", ".txt", ".yaml", ".yml")
+# Lists of poses as trajectory tools (evo) write them, by how many numbers a row has, and how they can be read.
+_LISTS = {
+    8: "TUM's list of poses (time, position, quaternion xyzw); it's read as groundtruth.txt beside rgb.txt, a line an "
+    "image with its time and path",
+    12: "KITTI's list of poses (3x4, in row order); it's read as poses.txt beside calib.txt, times.txt and image_2/",
+}
 
 
 def no_capture(root: Path, formats: Sequence[Format], chosen: Format | None, others: str) -> UserError:
@@ -85,8 +91,11 @@ def _nearest(root: Path, formats: Iterable[Format]) -> list[str]:
             here = form.has(folder)
             # `images/` or `*.jpg` alone are in all captures.
             names = list(zip(form.files, here, strict=True))
+            # And poses.txt is what tools call a list of poses, too.
             is_told = any(
-                is_here and not all(re.fullmatch(r"(\*/)*\*\..*|[\w*]+/", one) for one in name.split("|"))
+                is_here
+                and not all(re.fullmatch(r"(\*/)*\*\..*|[\w*]+/", one) for one in name.split("|"))
+                and not (name == "poses.txt" and _list_of_poses(folder / name))
                 for name, is_here in names
             )
             if is_told and not all(here):
@@ -101,6 +110,9 @@ def _nearest(root: Path, formats: Iterable[Format]) -> list[str]:
 def _unknown_logs(folder: Path) -> Iterable[str]:
     """What the keys of a folder's logs seem to be about."""
     for log in (p for p in in_order(folder.iterdir()) if p.suffix.lower() in _LOGS):
+        if listed := _list_of_poses(log):
+            yield f"{log.name} seems to be {listed}"
+            continue
         text = first_bytes(log).decode("utf-8", "ignore")
         keys = re.findall(r'"([A-Za-z_]\w{0,40})"\s*:', text) or re.findall(r"[A-Za-z_]\w*", text.partition("\n")[0])
         about = []
@@ -109,3 +121,11 @@ def _unknown_logs(folder: Path) -> Iterable[str]:
                 about.append(f"{meaning} ({key})")
         if about and about[0].startswith("poses"):
             yield f"{log.name} seems to hold {in_words(about)}"
+
+
+def _list_of_poses(log: Path) -> str | None:
+    """Which list of poses a file's first rows seem to be."""
+    lines = first_bytes(log, 1 << 12).decode("utf-8", "ignore").splitlines()
+    rows = [line.split() for line in lines[:-1] or lines if line.strip() and not line.startswith("#")]
+    is_number = all(re.fullmatch(r"[-+.\deE]+", value) for row in rows for value in row)
+    return _LISTS.get(len(rows[0])) if rows and is_number and len(set(map(len, rows))) == 1 else None

@@ -1,13 +1,25 @@
-"""Choosing images of a walk: by rate, by motion, and between these so many that neighbours are near."""
+"""Which images of a capture are used: frames of the dataset by rate, and support frames for SfM between them."""
 
 import heapq
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.capture_import.capture import Image, Session, poses_of
+from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.geometry.poses import Array, relative, rotation_angle
+from groundwalk.store.hints import setting_of
 
+# Largest steps between neighbouring images of SfM: of real corridors and rooms at a frame a second, matches get few
+# beyond.
+_STEP_M, _STEP_DEG = 0.3, 15.0
+# Sampling that is this much denser and still gives too few frames won't by being denser.
+_MAX_DENSITY = 2.0**12
+_HALVINGS = 10
 # Around each tick of the rate the sharpest image within this fraction of the interval is used: a wider window would
 # have sharper ones, but steps between frames would no longer be near the interval.
 _WINDOW = 0.25
@@ -15,6 +27,88 @@ _WINDOW = 0.25
 _UNEVEN = 1.25
 # Steps of exactly the limit may come out a rounding error larger.
 _ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A session's images that are used, in order of time, and which (N,) of them are support frames."""
+
+    images: list[Image]
+    support: NDArray[np.bool_]
+
+
+def select(sessions: Sequence[Session], settings: ImportSettings, density: float = 1.0) -> dict[str, Selection]:
+    """The selection of each session, by its id; sampled so many times more densely than by the settings."""
+    selected = {}
+    for session in sessions:
+        frames = _sampled(session, settings, density)
+        most = math.floor(settings.max_support_fraction * len(frames))
+        times, sharpness = _times(session), _sharpness(session)
+        if not session.has_poses:
+            support = sample_halfway(times, sharpness, frames)[:most]
+        else:
+            poses = poses_of(session.images)
+            support = sample_between(poses, sharpness, frames, _STEP_M, _STEP_DEG, most) if most else frames[:0]
+        used = np.sort(np.concatenate([frames, support]))
+        selected[session.session_id] = Selection([session.images[i] for i in used], np.isin(used, support))
+    return selected
+
+
+def select_enough(sessions: Sequence[Session], settings: ImportSettings) -> tuple[dict[str, Selection], str | None]:
+    """The selection of each session of a capture, by its id, and a line for the user where it's sampled more densely
+    than by its settings."""
+    by_settings = select(sessions, settings)
+    density = density_for(sessions, settings)
+    if density == 1:
+        return by_settings, None
+    used = select(sessions, settings, density)
+    fewer, count = (sum(int((~s.support).sum()) for s in chosen.values()) for chosen in (by_settings, used))
+    if fewer == count:
+        return used, None
+    images = sum(len(session.images) for session in sessions)
+    return used, (
+        f"sampling by its settings selects {fewer} of {images} images, fewer than {settings.min_frames} "
+        f"({setting_of('import', 'min_frames')}): "
+        + ("all are used" if count == images else f"sampled {density:.2f} times as densely, {count} are used")
+    )
+
+
+def density_for(sessions: Sequence[Session], settings: ImportSettings) -> float:
+    """How many times more densely than by its settings a capture has to be sampled for `min_frames`: 1 where that is
+    enough, infinity where it takes every image."""
+
+    def enough(density: float) -> bool:
+        return sum(len(_sampled(session, settings, density)) for session in sessions) >= settings.min_frames
+
+    if settings.sampling == "all" or enough(1.0):
+        return 1.0
+    if sum(len(session.images) for session in sessions) <= settings.min_frames:
+        return math.inf
+    low, high = 1.0, 2.0
+    while not enough(high):
+        low, high = high, 2 * high
+        if high > _MAX_DENSITY:
+            return math.inf
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (low, middle) if enough(middle) else (middle, high)
+    return high
+
+
+def _sampled(session: Session, settings: ImportSettings, density: float) -> NDArray[np.int64]:
+    """Indices of the session's images that become frames of the dataset."""
+    images = session.images
+    if not images or settings.sampling == "all" or math.isinf(density) or not session.recording.clock.has_times:
+        return np.arange(len(images))
+    return sample_rate(_times(session), _sharpness(session), settings.rate_hz * density)
+
+
+def _times(session: Session) -> NDArray[np.int64]:
+    return np.array([image.t_ns for image in session.images], dtype=np.int64)
+
+
+def _sharpness(session: Session) -> NDArray[np.float64]:
+    return np.array([image.check.sharpness for image in session.images])
 
 
 def sample_rate(t_ns: NDArray[np.int64], sharpness: Array, rate_hz: float) -> NDArray[np.int64]:
@@ -41,18 +135,6 @@ def sample_halfway(t_ns: NDArray[np.int64], sharpness: Array, frames: NDArray[np
             near = between[off <= _WINDOW]
             used.append(near[np.argmax(sharpness[near])] if len(near) else between[np.argmin(off)])
     return np.array(used, dtype=np.int64)
-
-
-def sample_motion(poses: Array, sharpness: Array, step_m: float, step_deg: float) -> NDArray[np.int64]:
-    """Indices of the sharpest image in each part of the walk that moves less than step_m and turns less than
-    step_deg from its first image."""
-    starts = [0]
-    for i in range(1, len(poses)):
-        step = relative(poses[starts[-1]], poses[i])
-        if np.linalg.norm(step[:3, 3]) >= step_m or np.degrees(rotation_angle(step[:3, :3])) >= step_deg:
-            starts.append(i)
-    groups = np.split(np.arange(len(poses)), starts[1:])
-    return np.array([group[np.argmax(sharpness[group])] for group in groups], dtype=np.int64)
 
 
 def sample_between(

@@ -12,12 +12,8 @@ class ImportSettings(Settings):
     """Which images become frames, and what counts as broken."""
 
     format: str = Field("auto", description="capture format, as `formats` lists it, or auto")
-    sampling: Literal["rate", "motion", "all"] = Field(
-        "rate", description="which images become frames: by rate, by motion, or all"
-    )
+    sampling: Literal["rate", "all"] = Field("rate", description="which images become frames: by rate, or all")
     rate_hz: float = Field(1.0, gt=0, le=240, description="sampling by rate: images a second")
-    step_m: float = Field(0.5, gt=0, description="sampling by motion: metres between images")
-    step_deg: float = Field(20.0, gt=0, description="sampling by motion: degrees between images")
     min_frames: int = Field(
         60,
         ge=0,
@@ -37,9 +33,6 @@ class ImportSettings(Settings):
         "auto",
         description="side of the images, as captured, that the sensor reads out first (rolling shutter); auto: what "
         "the capture states, or else top, and right of images higher than wide",
-    )
-    upright: bool = Field(
-        False, description="turn images upright by gravity, a quarter turn at a time, with intrinsics and poses"
     )
     blur: bool = Field(False, description="make faces and licence plates that a detector finds unrecognisable")
     gps: bool = Field(

@@ -121,13 +121,10 @@ def leak_seconds(frames: pd.DataFrame, split: NDArray[np.object_]) -> float | No
     frames, split = frames[timed], split[timed]
     for rows in frames.groupby("recording", sort=True).indices.values():
         t_s = frames["t_ns"].to_numpy()[rows] * 1e-9
-        train, test = np.sort(t_s[split[rows] == "train"]), t_s[split[rows] == "test"]
+        train, test = t_s[split[rows] == "train"], t_s[split[rows] == "test"]
         if len(train) and len(test):
-            after = np.searchsorted(train, test)
-            gaps = np.minimum(
-                np.abs(test - train[np.minimum(after, len(train) - 1)]), np.abs(test - train[np.maximum(after - 1, 0)])
-            )
-            shortest = min(float(gaps.min()), np.inf if shortest is None else shortest)
+            gap = float(np.abs(np.subtract.outer(test, train)).min())
+            shortest = gap if shortest is None else min(gap, shortest)
     return shortest
 
 

@@ -23,10 +23,10 @@ from groundwalk.capture_import.media.blurring import CascadeDetector
 from groundwalk.capture_import.media.depth import place_depths
 from groundwalk.capture_import.media.placing import Placement, place_images
 from groundwalk.capture_import.media.reading import ImageReader
-from groundwalk.capture_import.media.upright import first_row, quarters_to_upright, turned
+from groundwalk.capture_import.media.upright import quarters_to_upright
 from groundwalk.capture_import.origin import describe_origin, far_origin, moved
 from groundwalk.capture_import.recording import blueprint, log_session
-from groundwalk.capture_import.selection import select_enough
+from groundwalk.capture_import.sampling import select_enough
 from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.splits import LEAK_S, SplitResult, nearest_split, refuse_lists, split_frames
@@ -68,9 +68,6 @@ def run(r: StageRun[ImportSettings]) -> None:
     if origin is not None:
         r.say(describe_origin(origin))
         sessions = [moved(session, origin) for session in sessions]
-    to_upright = [quarters_to_upright(session) for session in sessions]
-    quarters = to_upright if settings.upright else [0] * len(sessions)
-    sessions = [turned(session, turns) for session, turns in zip(sessions, quarters, strict=True)]
 
     with r.step("tables"):
         selection_of, denser = select_enough(sessions, settings)
@@ -82,14 +79,11 @@ def run(r: StageRun[ImportSettings]) -> None:
             if not selection.images:
                 continue
             copies = settings.images == "copy"
-            where = Placement(root, r.work, session.session_id, copies, quarters[i], reader)
-            places = place_images(selection.images, where, detect, to_upright[i])
+            where = Placement(root, r.work, session.session_id, copies, reader)
+            places = place_images(selection.images, where, detect, quarters_to_upright(session))
             depths, rejects = place_depths(selection.images, where)
             sessions[i] = dataclasses.replace(session, rejects=[*session.rejects, *rejects])
-            stated = session.recording.first_row if settings.first_row == "auto" else settings.first_row
-            checks = [image.check for image in selection.images]
-            sides = [first_row(check.width, check.height, stated, where.quarters) for check in checks]
-            of_session.append(tables.frames_table(session, selection, places, depths, sides))
+            of_session.append(tables.frames_table(session, selection, places, depths, settings.first_row))
         frames = pd.concat(of_session, ignore_index=True)
         dataset = dataset_frames(frames)
         split = split_frames(dataset, r.scene.split, settings.split_by == "time")

@@ -9,10 +9,11 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.capture_import.capture import GpsFix, Session, poses_of
-from groundwalk.capture_import.selection import Selection
+from groundwalk.capture_import.sampling import Selection
 from groundwalk.capture_import.sessions import duration, path_length
 from groundwalk.geometry.gravity import gravity_in_camera
 from groundwalk.geometry.poses import Array
+from groundwalk.geometry.shutter import usual_first_row
 from groundwalk.store.choices import Appearance, ImageSide, LengthUnit, SessionSplit, Split, UpAxis
 from groundwalk.store.tables import dataset_frames, pose_frame
 from groundwalk.store.text import printable
@@ -26,15 +27,15 @@ def frames_table(
     used: Selection,
     places: Sequence[Mapping[str, Any]],
     depths: Sequence[Mapping[str, str]],
-    first_rows: Sequence[ImageSide],
+    first_row: str,
 ) -> pd.DataFrame:
     """Rows of `frames`, all but the split; and what the split is made from and checked by: `recording`, its name;
     `stated_split`, what a public data set states; `content_sha256`, of the image as captured without metadata (of a
-    video's frame as written). `first_rows` are the images' sides that the sensor reads out first."""
+    video's frame as written). `first_row` is the images' side that the sensor reads out first, or auto."""
     raw = session.recording
+    stated = raw.first_row if first_row == "auto" else first_row
     rows = []
-    columns = (used.images, used.support, places, depths, first_rows)
-    for image, support, place, depth, first_row in zip(*columns, strict=True):
+    for image, support, place, depth in zip(used.images, used.support, places, depths, strict=True):
         camera, check = image.camera, image.check
         rows.append(
             {
@@ -54,7 +55,7 @@ def frames_table(
                 "cy": camera.cy,
                 "distortion": list(camera.distortion),
                 "focal_sd": camera.focal_sd,
-                "first_row": first_row,
+                "first_row": ImageSide(stated or usual_first_row(check.width, check.height)),
                 "stated_readout_s": math.nan if raw.readout_s is None else raw.readout_s,
                 "tracking": image.tracking,
                 "sharpness": check.sharpness,

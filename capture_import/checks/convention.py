@@ -61,7 +61,6 @@ class ConventionCheck:
 
     pairs: int
     declared: float
-    other: str
     other_explained: float
     contradicted: str | None
 
@@ -79,14 +78,14 @@ def check_convention(session: Session, reader: ImageReader) -> ConventionCheck:
     """Compare a session's poses with its images, in every convention."""
     matched = _matched_pairs(session, reader)
     if not matched:
-        return ConventionCheck(0, np.nan, "", np.nan, None)
+        return ConventionCheck(0, np.nan, np.nan, None)
     table = np.array([[_explained(pair, change) for _, change in CONVENTIONS] for pair in matched])
     mean = table.mean(axis=0)
     best = 1 + int(np.argmax(mean[1:]))
     wins = np.mean(table[:, best] > table[:, 0])
     contradicted = len(matched) >= _MIN_PAIRS and mean[best] > max(_MIN_MOST, mean[0] + _MIN_GAIN) and wins > 0.75
-    name = CONVENTIONS[best][0]
-    return ConventionCheck(len(matched), float(mean[0]), name, float(mean[best]), name if contradicted else None)
+    name = CONVENTIONS[best][0] if contradicted else None
+    return ConventionCheck(len(matched), float(mean[0]), float(mean[best]), name)
 
 
 def with_focal_length(sessions: list[Session], reader: ImageReader) -> tuple[list[Session], str]:

@@ -43,11 +43,11 @@ def _read_pose(_: int, line: str) -> RawFrame:
 
 def _read_image(_: int, image: Path) -> RawFrame:
     camera = image.parent.with_name(f"{image.parent.name}_intrinsics") / f"{image.stem}.pincam"
-    width, height, *fx_fy_cx_cy = parsing.split_numbers(parsing.read_text(camera), 6)
+    width, height, fx, fy, cx, cy = parsing.split_numbers(parsing.read_text(camera), 6)
     return RawFrame(
         parsing.seconds_to_ns(parsing.to_number(image.stem.rpartition("_")[2], "name")),
         image=ImageFile(image),
-        intrinsics=Intrinsics.of(fx_fy_cx_cy, parsing.to_pixels(width), parsing.to_pixels(height)),
+        intrinsics=Intrinsics(fx, fy, cx, cy, parsing.to_pixels(width), parsing.to_pixels(height)),
         depth=DepthFile.if_there(*(image.parents[1] / kind / image.name for kind in ("lowres_depth", "confidence"))),
     )
 

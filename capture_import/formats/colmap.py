@@ -7,6 +7,9 @@ Documented at https://colmap.github.io/format.html. What matters:
 - `images.txt` has two lines an image, the second of which may be empty; the points aren't read;
 - camera models SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are used as stated, and fisheye
   ones become FULL_OPENCV's coefficients; images of others are left out;
+- a camera without coefficients states that there is no distortion only where COLMAP's `image_undistorter` made the
+  images, which leaves `stereo/` and `run-colmap-*.sh` beside them, or where a folder beside the model is named so; of
+  images as a lens took them it says nothing;
 - nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
 - without `single_camera` COLMAP gives each image a camera of its own, though one phone took them all: where their focal
   lengths are alike, they're taken for one, of the medians;
@@ -38,9 +41,7 @@ from groundwalk.capture_import.capture import Intrinsics, Limits, Recording
 from groundwalk.capture_import.data_sets import (
     data_set_of,
     is_metric_export,
-    notes_on_missing_folders,
     read_reference,
-    rows_of,
 )
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import in_order
@@ -64,6 +65,8 @@ _MODELS = {
     "THIN_PRISM_FISHEYE": (12, 0),
 }
 _LONGEST_NAME = 1 << 12
+# Of images without distortion, beside their model.
+_UNDISTORTED = ("stereo", "run-colmap-*.sh", "*undistorted*")
 # Folders of tools in which a model lies while its images lie beside them: nerfstudio, 3D Gaussian splatting, scripts.
 _WORKSPACES = ("colmap", "distorted", "output", "model")
 # Cameras of one image each are one camera where so many have a focal length this close to the median, about which they
@@ -159,6 +162,7 @@ def read(path: Path, limits: Limits) -> Recording:
     data_set = _read_data_set(folder, limits)
     assert data_set is not None  # `detect` has seen a model
     (largest, (_, listed)), *others = data_set.models.items()
+    is_undistorted = any(True for name in _UNDISTORTED for _ in folder.glob(name))
     notes, used = [], data_set.models
     if not is_metric_export(folder):
         used = {largest: data_set.models[largest]}
@@ -192,10 +196,12 @@ def read(path: Path, limits: Limits) -> Recording:
         cam_T_world = parsing.quaternion_pose(image.translation, image.xyzw)
         if not (np.abs(cam_T_world) < 1e100).all():
             raise parsing.BadRow("pose has a value that isn't finite or is too large")
-        return inverse(cam_T_world), _intrinsics(camera)
+        stated = _intrinsics(camera)
+        if is_undistorted and not stated.distortion:
+            stated = replace(stated, distortion=(0.0,) * 4)
+        return inverse(cam_T_world), stated
 
-    notes = [*notes_on_missing_folders(rows), *notes]
-    return read_reference(path, folder, rows_of(folder, path, rows), read_row, tested, notes)
+    return read_reference(path, folder, rows, read_row, tested, notes)
 
 
 def _shared_cameras(cameras: dict[int, _Camera], images: Sequence[_Image]) -> tuple[dict[int, _Camera], list[str]]:
@@ -244,7 +250,7 @@ def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[
             listed = list(islice(_text_images(line for _, line in parsing.numbered_lines(images, limits)), most + 1))
         if max(len(by_number), len(listed)) > most:
             raise parsing.BadRow(f"more than {most} cameras or images")
-    except (parsing.BadRow, struct.error, UnicodeDecodeError, OSError) as error:
+    except (parsing.BadRow, struct.error, OSError) as error:
         raise UserError(
             "a COLMAP model can't be read",
             where=folder,
@@ -273,7 +279,7 @@ def _binary_images(file: BinaryIO) -> Iterator[_Image]:
         if not end_of_name:
             raise parsing.BadRow("images.bin has an image whose name doesn't end")
         file.seek(start + len(encoded) + 1)
-        name, (points,) = encoded.decode(), _take(file, "<Q")
+        name, (points,) = encoded.decode(errors="replace"), _take(file, "<Q")
         end = file.tell() + 24 * points
         if end > size:
             raise parsing.BadRow(f"images.bin has {size} bytes, but points of {name[:60]} up to byte {end}")

@@ -20,7 +20,7 @@ from pathlib import Path
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import GpsFix, Intrinsics, Limits, RawFrame, Recording, Reject, VideoFrame
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.media.video import require_row_per_frame
+from groundwalk.capture_import.media.video import check_join
 from groundwalk.store.choices import Clock
 
 
@@ -29,18 +29,18 @@ def read(path: Path, limits: Limits) -> Recording:
     poses, rejects = parsing.read_rows(parsing.lines_of(path / "ARposes.txt", limits), _read_pose)
     rows = parsing.lines_of(path / "Frames.txt", limits)
     video = path / "Frames.m4v"
-    require_row_per_frame(video, "Frames.txt", len(rows), limits)
 
     def read_image(index: int, line: str) -> RawFrame:
-        time_s, _, *camera = parsing.split_numbers(line, 6, ",")
+        time_s, _, fx, fy, cx, cy = parsing.split_numbers(line, 6, ",")
         image = VideoFrame(video, index)
-        return RawFrame(parsing.seconds_to_ns(time_s), image=image, intrinsics=Intrinsics.of(camera))
+        return RawFrame(parsing.seconds_to_ns(time_s), image=image, intrinsics=Intrinsics(fx, fy, cx, cy))
 
     images, more = parsing.read_rows(rows, read_image)
+    notes = check_join(video, "Frames.txt", images, len(rows), limits)
     frames = parsing.join_by_time(poses, images)
     gps = path / "GPS.txt"
     read_gps = partial(_read_gps, gps, limits) if gps.is_file() else None
-    return Recording("iOS, ios_logger", Clock.UNIX, path, frames, [*rejects, *more], read_gps=read_gps)
+    return Recording("iOS, ios_logger", Clock.UNIX, path, frames, [*rejects, *more], read_gps=read_gps, notes=notes)
 
 
 def _read_pose(_: int, line: str) -> RawFrame:

@@ -30,9 +30,7 @@ from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import Intrinsics, Limits, Recording, Reject
 from groundwalk.capture_import.data_sets import (
     data_set_of,
-    notes_on_missing_folders,
     read_reference,
-    rows_of,
     size_of,
 )
 from groundwalk.capture_import.formats import Format
@@ -87,15 +85,10 @@ def read(path: Path, limits: Limits) -> Recording:
             source = f"frame {i}" if file.name == _FILES[0] else f"{file.stem} frame {i}"
             try:
                 image = _image(data_set, row)
-            except parsing.BadRow as error:
-                nameless.append(Reject(source, None, f"names no image: {error}"))
-                continue
-            try:
-                stated = _with_matrix(content | row)
+                rows.append((source, image, (world_T_file, _with_matrix(content | row))))
             except parsing.BadRow as error:
                 nameless.append(Reject(source, None, str(error)))
                 continue
-            rows.append((source, image, (world_T_file, stated)))
             if file.name == _TEST_FILE:
                 tested.add(image)
         listed = content.get("test_filenames")
@@ -105,11 +98,10 @@ def read(path: Path, limits: Limits) -> Recording:
         world_T_file, stated = row
         return world_T_file @ parsing.from_arkit(_pose(stated)), _intrinsics(stated, image)
 
-    own = rows_of(data_set, path, rows)
-    assumed = [note for note, key in _ASSUMED.items() if any(key not in stated for *_, (_, stated) in own)]
-    recording = read_reference(path, data_set, own, read_row, tested, [*notes_on_missing_folders(rows), *assumed])
+    assumed = [note for note, key in _ASSUMED.items() if any(key not in stated for *_, (_, stated) in rows)]
+    recording = read_reference(path, data_set, rows, read_row, tested, assumed)
     # Rows without an image are of no folder: they are listed once, with the first image's recording.
-    is_first = not rows or rows[0][0] in {source for source, *_ in own}
+    is_first = not rows or path in (data_set, rows[0][1].parent)
     return replace(recording, rejects=[*recording.rejects, *nameless]) if is_first else recording
 
 

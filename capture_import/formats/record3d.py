@@ -19,7 +19,7 @@ from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in
-from groundwalk.capture_import.media.float_depth import missing_decoder
+from groundwalk.capture_import.media.depth import missing_decoder
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 
@@ -71,7 +71,8 @@ def _intrinsics(content: dict[str, Any], index: int) -> Intrinsics:
     width, height = parsing.whole(content, "w"), parsing.whole(content, "h")
     per_frame = content.get("perFrameIntrinsicCoeffs")
     if isinstance(per_frame, list) and index < len(per_frame):
-        return Intrinsics.of(parsing.to_numbers(per_frame[index], "row", 4), width, height)
+        fx, fy, cx, cy = parsing.to_numbers(per_frame[index], "row", 4).tolist()
+        return Intrinsics(fx, fy, cx, cy, width, height)
     fx, _, _, _, fy, _, cx, cy, _ = parsing.numbers(content, "K", 9)
     return Intrinsics(fx, fy, cx, cy, width, height)
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from groundwalk.capture_import import parsing
-from groundwalk.capture_import.capture import Limits, RawFrame, Recording, Reject, VideoFrame
+from groundwalk.capture_import.capture import Limits, RawFrame, Recording, VideoFrame
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.media.video import require_row_per_frame
+from groundwalk.capture_import.media.video import check_join
 from groundwalk.geometry.poses import Array, inverse, rigidity_error
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, Tracking
@@ -50,7 +50,9 @@ def read(path: Path, limits: Limits) -> Recording:
     if device_T_cam is None:
         notes.append("no calibration.json: poses are the device's, and images aren't used")
     elif (path / "data.mp4").is_file() and (path / "data.jsonl").is_file():
-        images, more = _read_images(path, limits)
+        lines = parsing.lines_of(path / "data.jsonl", limits, lambda line: '"frames"' in line)
+        images, more = parsing.read_rows(lines, lambda i, line: _read_image(path / "data.mp4", i, line))
+        notes += check_join(path / "data.mp4", "data.jsonl", images, len(lines), limits)
         rejects += more
     return Recording("Spectacular AI", Clock.BOOT, path, parsing.join_by_time(poses, images), rejects, notes=notes)
 
@@ -68,21 +70,15 @@ def _device_T_cam(calibration: Path, limits: Limits) -> Array:
         raise UserError("the calibration can't be read", where=calibration, found=error) from None
 
 
-def _read_images(path: Path, limits: Limits) -> tuple[list[RawFrame], list[Reject]]:
-    lines = parsing.lines_of(path / "data.jsonl", limits, lambda line: '"frames"' in line)
-    video = path / "data.mp4"
-    require_row_per_frame(video, "data.jsonl", len(lines), limits)
-
-    def read_image(index: int, line: str) -> RawFrame:
-        content = parsing.parse_json(line)
-        frames = content.get("frames")
-        if not isinstance(frames, list) or not frames or not isinstance(frames[0], dict):
-            raise parsing.BadRow("frames is empty")
-        camera = parsing.intrinsics(frames[0].get("cameraParameters"), _CAMERA)
-        time_ns = parsing.seconds_to_ns(parsing.number(content, "time"))
-        return RawFrame(time_ns, image=VideoFrame(video, index), intrinsics=camera)
-
-    return parsing.read_rows(lines, read_image)
+def _read_image(video: Path, index: int, line: str) -> RawFrame:
+    content = parsing.parse_json(line)
+    frames = content.get("frames")
+    if not isinstance(frames, list) or not frames or not isinstance(frames[0], dict):
+        raise parsing.BadRow("frames is empty")
+    camera = parsing.intrinsics(frames[0].get("cameraParameters"), _CAMERA)
+    return RawFrame(
+        parsing.seconds_to_ns(parsing.number(content, "time")), image=VideoFrame(video, index), intrinsics=camera
+    )
 
 
 FORMAT = Format(

@@ -29,7 +29,7 @@ from groundwalk.capture_import.capture import (
     VideoFrame,
 )
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.media.video import frame_times
+from groundwalk.capture_import.media.video import check_join
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 
@@ -65,8 +65,7 @@ def read(path: Path, limits: Limits) -> Recording:
 
     frames, rejects = parsing.read_rows(rows, read_row)
     notes = ["one camera matrix, the last frame's, stands for all frames"] if shared else []
-    if frames and (note := _check_join(frames, len(rows), frame_times(video, limits), path)):
-        notes.append(note)
+    notes += check_join(video, "odometry.csv", frames, len(rows), limits)
     accelerations = _accelerations(path / "imu.csv", limits) if (path / "imu.csv").is_file() else None
     return Recording("iOS, Stray Scanner", Clock.BOOT, path, frames, rejects, accelerations=accelerations, notes=notes)
 
@@ -89,26 +88,6 @@ def _camera_matrix(file: Path) -> Intrinsics:
     except ValueError as error:
         raise UserError("the camera matrix can't be read", where=file, expected="3 rows of 3", found=error) from None
     return Intrinsics(fx, fy, cx, cy)
-
-
-def _check_join(frames: list[RawFrame], rows: int, video_ns: np.ndarray, path: Path) -> str | None:
-    """Rows and frames that differ in number may only differ at the end, and their clocks must then run together."""
-    if rows == len(video_ns):
-        return None
-    joined = [f for f in frames if f.number < len(video_ns)]
-    row_ns = np.array([f.t_ns for f in joined], dtype=np.int64)
-    video = video_ns[[f.number for f in joined]]
-    interval = float(np.median(np.diff(video_ns))) if len(video_ns) > 1 else 0.0
-    apart = np.abs((row_ns - row_ns[0]) - (video - video[0])).max() if len(joined) else np.inf
-    if apart > interval / 2:
-        raise UserError(
-            "the video's frames can't be joined to the rows of odometry.csv",
-            where=path,
-            expected="as many frames as rows",
-            found=f"{len(video_ns)} frames, {rows} rows, clocks apart by up to {apart * 1e-9:.3f} s",
-            do="export the recording again",
-        )
-    return f"{len(video_ns)} video frames for {rows} rows: the end without a partner is left out"
 
 
 FORMAT = Format(

@@ -9,28 +9,28 @@ from pathlib import Path
 from groundwalk.capture_import.capture import Limits, RawFrame, Recording, VideoFrame
 from groundwalk.capture_import.data_sets import GUESS_SD, guessed_intrinsics, images_alone
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.media.video import frame_times, is_video, stored_image
+from groundwalk.capture_import.media.video import first_frame, frame_times, is_video
 from groundwalk.store.choices import Clock
 
 
 def read(path: Path, limits: Limits) -> Recording:
     """All frames of a video; import uses the sharpest around each tick."""
     times = frame_times(path, limits)
-    stored = stored_image(path, limits)
-    width, height = (stored.height, stored.width) if stored.quarters % 2 else (stored.width, stored.height)
+    first, quarters, is_hdr = first_frame(path, limits)
+    width, height = (first.height, first.width) if quarters % 2 else (first.width, first.height)
     frames = [
         RawFrame(
             int(t_ns),
             image=VideoFrame(path, index),
             intrinsics=guessed_intrinsics(width, height, GUESS_SD),
-            quarters=stored.quarters,
+            quarters=quarters,
             number=index,
             source=f"{path.name} frame {index}",
         )
         for index, t_ns in enumerate(times)
     ]
     notes = [f"{len(frames)} frames without poses, focal length unknown"]
-    if stored.is_hdr:
+    if is_hdr:
         notes.append("the video is HDR: its images are pale, as no tone mapping is applied")
     return images_alone(Clock.VIDEO, path.parent, frames, [], notes)
 

@@ -1,7 +1,14 @@
-"""Depth images of the selected frames: checked, and used in the capture or written to the artefact like images."""
+"""Depth images of the selected frames: checked, and used in the capture or written to the artefact like images.
+
+Those in metres as floats aren't PNGs but LZFSE-compressed arrays or OpenEXR images, whose decoders are the user's
+choice. pyliblzfse, which is Apple's own code, has to be compiled on Linux. OpenCV has OpenEXR's, but turned off, as a
+crafted file can harm it (https://github.com/opencv/opencv/issues/21326).
+"""
 
 import hashlib
+import os
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import Image, Reject
-from groundwalk.capture_import.media.float_depth import (
-    FLOAT_SUFFIXES,
-    decode_exr,
-    decode_lzfse,
-    missing_decoder,
-    to_millimetres,
-)
 from groundwalk.capture_import.media.images import BadImage, decoded, image_size
 from groundwalk.capture_import.media.placing import Placement
 from groundwalk.store.choices import Rejected
@@ -26,6 +26,12 @@ from groundwalk.store.parallel import in_parallel
 _MAX_BYTES = 1 << 26
 # Rounding of sizes: 256x192 for 1920x1440, 256x144 for 1920x1080.
 _ASPECT_TOLERANCE = 0.02
+_FLOAT_SUFFIXES = (".depth", ".conf", ".exr")
+_LZFSE_START = b"bvx"
+_EXR_START = b"\x76\x2f\x31\x01"
+_EXR_SWITCH = "OPENCV_IO_ENABLE_OPENEXR"
+_MAX_MM = np.iinfo(np.uint16).max
+_RED = 2  # OpenCV's order is blue, green, red
 
 
 def place_depths(images: Sequence[Image], where: Placement) -> tuple[list[dict[str, str]], list[Reject]]:
@@ -51,8 +57,6 @@ def _place(image: Image, where: Placement) -> dict[str, str] | tuple[str, str]:
     if depth is None:
         return {}
     size = (image.check.width, image.check.height)
-    if where.quarters % 2:  # that of the image as it was captured
-        size = size[::-1]
     columns: dict[str, str] = {}
     shape: tuple[int, ...] | None = None
     for kind, file, dtype in (("depth", depth.path, np.uint16), ("depth_confidence", depth.confidence, np.uint8)):
@@ -70,8 +74,8 @@ def _place(image: Image, where: Placement) -> dict[str, str] | tuple[str, str]:
         except BadImage as error:
             return file.name, f"{what} {error}"
         shape = pixels.shape
-        if where.quarters or file.suffix != ".png":
-            data = cv2.imencode(".png", np.ascontiguousarray(np.rot90(pixels, -where.quarters)))[1].tobytes()
+        if file.suffix != ".png":
+            data = cv2.imencode(".png", pixels)[1].tobytes()
         elif where.stays(file):
             columns[kind] = file.relative_to(where.root).as_posix()
         if kind not in columns:
@@ -85,15 +89,61 @@ def _decode(
     file: Path, data: bytes, dtype: np.dtype[Any], size: tuple[int, int], max_megapixels: float
 ) -> NDArray[Any]:
     """Pixels (H, W) of a depth image, in millimetres, or of a confidence image."""
-    if file.suffix in FLOAT_SUFFIXES:
+    if file.suffix in _FLOAT_SUFFIXES:
         if missing := missing_decoder(file):
             raise BadImage(f"can't be decoded: {missing}")
         if file.suffix == ".conf":
-            return decode_lzfse(data, dtype, size)
-        return to_millimetres(decode_exr(data) if file.suffix == ".exr" else decode_lzfse(data, np.dtype("<f4"), size))
+            return _of_lzfse(data, dtype, size)
+        return _millimetres(_of_exr(data) if file.suffix == ".exr" else _of_lzfse(data, np.dtype("<f4"), size))
     image_size(data, max_megapixels)
     pixels = decoded(data, cv2.IMREAD_UNCHANGED)
     if pixels.dtype != dtype or pixels.ndim != 2:
         channels = 1 if pixels.ndim == 2 else pixels.shape[2]
         raise BadImage(f"has {channels} channels of {8 * pixels.itemsize} bits, not 1 of {8 * dtype.itemsize}")
     return pixels
+
+
+def missing_decoder(file: Path) -> str | None:
+    """What is missing to read a `.depth`, `.conf` or `.exr` file, and what to do; None where nothing is."""
+    if file.suffix == ".exr":
+        is_on = os.environ.get(_EXR_SWITCH, "0").lower() in ("1", "on", "true")
+        return None if is_on else f"set {_EXR_SWITCH}=1 to let OpenCV decode EXR files, of captures that you trust"
+    return None if find_spec("liblzfse") else "LZFSE's decoder isn't installed: pip install 'groundwalk[record3d]'"
+
+
+def _of_lzfse(data: bytes, dtype: np.dtype[Any], size: tuple[int, int]) -> NDArray[Any]:
+    """Pixels (H, W) of an image shaped like that of `size` (width, height), which the file doesn't state.
+
+    Raises BadImage for data that can't be decoded, or is no such image.
+    """
+    import liblzfse
+
+    if not data.startswith(_LZFSE_START):
+        raise BadImage("isn't compressed by LZFSE")
+    try:
+        raw = liblzfse.decompress(data)
+    except (liblzfse.error, MemoryError):
+        raise BadImage("is broken: it can't be decoded") from None
+    count = len(raw) // dtype.itemsize
+    width = max(1, round(np.sqrt(count * size[0] / size[1])))
+    if not count or width * (count // width) * dtype.itemsize != len(raw):
+        raise BadImage(f"has {len(raw)} bytes, no image of {8 * dtype.itemsize} bits shaped like {size[0]}x{size[1]}")
+    return np.frombuffer(raw, dtype).reshape(-1, width)
+
+
+def _of_exr(data: bytes) -> NDArray[Any]:
+    """Pixels (H, W), float32, of an OpenEXR image's only channel, or of its red one; BadImage where it can't be
+    decoded."""
+    if not data.startswith(_EXR_START):
+        raise BadImage("is no OpenEXR file")
+    pixels = decoded(data, cv2.IMREAD_UNCHANGED)
+    if pixels.dtype != np.float32:
+        raise BadImage(f"has {8 * pixels.itemsize} bits, not 32")
+    return np.asarray(pixels if pixels.ndim == 2 else pixels[..., _RED])
+
+
+def _millimetres(metres: NDArray[Any]) -> NDArray[np.uint16]:
+    """Millimetres; 0 where there is no depth, or more than 16 bits hold."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        rounded = np.round(1000 * metres.astype(np.float64))
+    return np.where((rounded > 0) & (rounded <= _MAX_MM), rounded, 0).astype(np.uint16)

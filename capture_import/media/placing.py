@@ -25,15 +25,13 @@ from groundwalk.store.progress import track
 class Placement:
     """How a session's files are placed.
 
-    `root` is the capture folder, `work` the artefact's. `copies`: files of the capture are copied. Images are turned
-    by `quarters` clockwise. `reader` reads them.
+    `root` is the capture folder, `work` the artefact's. `copies`: files of the capture are copied. `reader` reads them.
     """
 
     root: Path
     work: Path
     session_id: str
     copies: bool
-    quarters: int
     reader: ImageReader
 
     def stays(self, file: Path) -> bool:
@@ -61,8 +59,7 @@ def place_images(
 
     def rendered(rgb: NDArray[np.uint8], quarters: int) -> tuple[NDArray[np.uint8], list[Region]]:
         rgb = turned_pixels(rgb, quarters)
-        rgb, regions = blur_people(rgb, detect, to_upright) if detect is not None else (rgb, [])
-        return turned_pixels(rgb, where.quarters), regions
+        return blur_people(rgb, detect, to_upright) if detect is not None else (rgb, [])
 
     def placed(entry: str, sha256: str, regions: list[Region]) -> dict[str, Any]:
         kinds = ("face", "plate")
@@ -79,7 +76,7 @@ def place_images(
         regions: list[Region] = []
         with ref.path.open("rb") as file:
             is_heic_file = is_heic(file.read(12))
-        is_changed = where.quarters or image.quarters or is_heic_file
+        is_changed = image.quarters or is_heic_file
         if is_changed or detect is not None:
             rgb, regions = rendered(decode_rgb(ref.path.read_bytes(), long_side=2**31), image.quarters)
             if is_changed or regions:

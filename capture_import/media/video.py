@@ -1,8 +1,7 @@
 """Video as a source of images: times without decoding, frames one by one in the order of display."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
@@ -11,7 +10,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.capture import Limits, RawFrame, VideoFrame
 from groundwalk.store import UserError
 
 # Pixel formats whose first plane is the brightness, a byte a pixel.
@@ -36,44 +35,42 @@ def frame_times(path: Path, limits: Limits) -> NDArray[np.int64]:
     return np.array([round(t * ticks_ns) for t in times], dtype=np.int64)
 
 
-@dataclass(frozen=True)
-class StoredImage:
-    """How a video's images are stored: size in pixels, the quarter turns clockwise that show them upright, whether
-    their brightness is coded for HDR."""
-
-    width: int
-    height: int
-    quarters: int
-    is_hdr: bool
-
-
 def is_video(path: Path) -> bool:
     """Whether a file's name is that of a video."""
     return path.suffix.lower() in _SUFFIXES and path.is_file()
 
 
-def stored_image(path: Path, limits: Limits) -> StoredImage:
-    """How a video's images are stored, by its first frame; UserError where it has none."""
+def first_frame(path: Path, limits: Limits) -> tuple[av.VideoFrame, int, bool]:
+    """A video's first frame, the quarter turns clockwise that show it upright, and whether its brightness is coded for
+    HDR; UserError where it has none."""
     with _opened(path, limits) as (container, stream):
         frame = next(container.decode(stream), None)
     if frame is None:
         raise UserError("a video holds no frame", where=path)
     # Displays turn anticlockwise by the angle of the container's matrix.
     quarters = round(-frame.rotation / 90) % 4
-    return StoredImage(frame.width, frame.height, quarters, frame.color_trc in _HDR_TRANSFERS)
+    return frame, quarters, frame.color_trc in _HDR_TRANSFERS
 
 
-def require_row_per_frame(path: Path, log: str, rows: int, limits: Limits) -> None:
-    """UserError where a video hasn't as many frames as its log has rows, so that they can't be joined by number."""
-    frames = len(frame_times(path, limits))
-    if frames != rows:
+def check_join(path: Path, log: str, frames: Sequence[RawFrame], rows: int, limits: Limits) -> list[str]:
+    """A note where a video hasn't as many frames as its log has rows, to which they belong by number; `frames` are the
+    rows that can be read. UserError where more than the end is missing: their clocks then don't run together."""
+    video_ns = frame_times(path, limits)
+    if rows == len(video_ns) or not frames:
+        return []
+    refs = [(frame.t_ns, frame.image.index) for frame in frames if isinstance(frame.image, VideoFrame)]
+    off_ns = np.array([t_ns - video_ns[index] for t_ns, index in refs if index < len(video_ns)], dtype=np.int64)
+    interval = float(np.median(np.diff(video_ns))) if len(video_ns) > 1 else 0.0
+    apart = np.abs(off_ns - off_ns[0]).max() if len(off_ns) else np.inf
+    if apart > interval / 2:
         raise UserError(
             f"the video's frames can't be joined to the rows of {log}",
             where=path,
             expected="as many frames as rows",
-            found=f"{frames} frames, {rows} rows",
+            found=f"{len(video_ns)} frames, {rows} rows, clocks apart by up to {apart * 1e-9:.3f} s",
             do="export the recording again",
         )
+    return [f"{len(video_ns)} video frames for {rows} rows: the end without a partner is left out"]
 
 
 def decode(path: Path, indices: set[int], limits: Limits) -> Iterator[tuple[int, av.VideoFrame]]:

@@ -4,9 +4,14 @@ Each line is an entry point, name = "module:record". They stand here and not in 
 metadata is written when a package is installed, sorted by name: docs/explanation/decisions.md.
 """
 
+_FORMATS_ELSEWHERE = {
+    "3d_scanner_app": "scanner_app:FORMAT",
+    **{name: f"poses_only:{name.upper()}" for name in ("arkit_logger", "arcore_logger", "invisible_map")},
+}
+
 BUILTIN: dict[str, dict[str, str]] = {
     "groundwalk.formats": {
-        name: f"groundwalk.capture_import.formats.{name.removeprefix('3d_')}:FORMAT"
+        name: f"groundwalk.capture_import.formats.{_FORMATS_ELSEWHERE.get(name, f'{name}:FORMAT')}"
         for name in (
             "3d_scanner_app",
             "stray_scanner",

@@ -171,7 +171,7 @@ def prior_lenses(frames: pd.DataFrame, device_of_session: dict[str, str], settin
         if settings.lens == "stated":
             covariance[:2, :2] = np.eye(2) / EXACT_INFORMATION
             k3_sd = 1 / np.sqrt(EXACT_INFORMATION)
-        elif not distortion.any():
+        elif not len(distortion):
             coefficients[:2], origin, k3_sd = PHONE_K1_K2, CameraOrigin.PRIOR, _K3_SD
             covariance[:2, :2] = _PHONE_COVARIANCE
         readout_s, stated_readout_s = 0.0, None

@@ -12,7 +12,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from groundwalk.capture_import.capture import Limits, Reject, Session
+from groundwalk.capture_import.capture import Limits, Recording, Reject, Session
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.capture_import.sessions import sound_sessions
@@ -445,6 +445,12 @@ def find_one(root: Path) -> RecordingSource:
     return found
 
 
+def read_one(root: Path, format_name: str = "auto") -> Recording:
+    """The only recording in a folder, as it is read."""
+    (found,) = find_recordings(root, root.parent / "unpacked", Limits(), format_name)
+    return found.read(Limits())
+
+
 def reader_of(root: Path) -> ImageReader:
     """Reads the images of a folder, and of archives that were unpacked beside it."""
     return ImageReader([root.resolve(), (root.parent / "unpacked").resolve()], Limits())
@@ -452,7 +458,7 @@ def reader_of(root: Path) -> ImageReader:
 
 def sessions_in(root: Path) -> list[Session]:
     """The sessions of the only recording in a folder, with all images checked."""
-    return sound_sessions(find_one(root).read(Limits()), reader_of(root).check, 0.5)
+    return sound_sessions(read_one(root), reader_of(root).check, 0.5)
 
 
 def rejects_of(sessions: list[Session]) -> list[Reject]:

@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from groundwalk.capture_import.capture import Image, ImageCheck, Recording, Session
-from groundwalk.capture_import.sampling import motion_steps, sample_between, sample_motion, sample_rate
-from groundwalk.capture_import.selection import density_for, select
+from groundwalk.capture_import.sampling import density_for, motion_steps, sample_between, sample_rate, select
 from groundwalk.capture_import.settings import ImportSettings
-from groundwalk.capture_import.splits import LEAK_S, leak_seconds, refuse_lists, split_frames
+from groundwalk.capture_import.splits import LEAK_S, refuse_lists, split_frames
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
@@ -49,12 +48,6 @@ def test_the_sharpest_image_around_a_tick_is_taken() -> None:
 
 def straight(metres: np.ndarray) -> np.ndarray:
     return make_pose(np.eye(3), np.stack([metres, 0 * metres, 0 * metres], axis=-1))
-
-
-def test_sampling_by_motion_keeps_steps() -> None:
-    x = np.cumsum(np.r_[np.zeros(20), np.full(80, 0.125)])
-    kept = sample_motion(straight(x), np.ones(len(x)), 0.5, 20.0)
-    np.testing.assert_allclose(np.diff(x[kept]), 0.5)
 
 
 def walk_of(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -101,10 +94,9 @@ def test_the_largest_steps_are_cut_where_not_all_can_be() -> None:
 
 
 @pytest.mark.parametrize("every", [1, 2, 3])
-@pytest.mark.parametrize("sampling", ["rate", "motion"])
-def test_thinning_to_a_number_is_even_whatever_the_rate(every: int, sampling: str) -> None:
-    session = session_of(np.arange(0, 34, 0.1)[::every])  # at 1 Hz or 1 m 34 images
-    settings = ImportSettings(sampling=sampling, step_m=1.0)
+def test_thinning_to_a_number_is_even_whatever_the_rate(every: int) -> None:
+    session = session_of(np.arange(0, 34, 0.1)[::every])  # at 1 Hz 34 images
+    settings = ImportSettings()
     selection = select([session], settings, density_for([session], settings))["walk"]
     t_s = np.array([i.t_ns for i in selection.images])[~selection.support] * 1e-9
     assert 60 <= len(t_s) <= 66
@@ -112,13 +104,11 @@ def test_thinning_to_a_number_is_even_whatever_the_rate(every: int, sampling: st
     assert steps.max() <= 1.6 * 34 / 60 and steps.min() >= 0.4 * 34 / 60
     assert density_for([session], settings.model_copy(update={"min_frames": 20})) == 1
     assert np.isinf(density_for([session], settings.model_copy(update={"min_frames": 1000})))
-    still = session_of(np.arange(0, 34, 0.1), speed_m_s=0.0)
-    assert np.isinf(density_for([still], ImportSettings(sampling="motion")))
 
 
-def session_of(seconds: np.ndarray, speed_m_s: float = 1.0) -> Session:
+def session_of(seconds: np.ndarray) -> Session:
     """A straight walk with an image at each of the seconds, equally sharp."""
-    poses = straight(speed_m_s * seconds)
+    poses = straight(seconds)
     check = ImageCheck(96, 72, 0.5, 50.0, "", "")
     frames = [
         Image(round(1e9 * s), p, number=i, check=check) for i, (s, p) in enumerate(zip(seconds, poses, strict=True))
@@ -203,13 +193,3 @@ def test_a_leak_between_listed_parts_is_refused_unless_allowed() -> None:
         split_frames(frames, SplitRules(test=["walk.part2"], val_fraction=0), by_time=False)
     rules = SplitRules(test=["walk.part2"], val_fraction=0, allow_leak=True)
     assert split_frames(frames, rules, by_time=False).leak_s == pytest.approx(2.0)
-
-
-@given(st.lists(st.floats(0, 100), min_size=2, max_size=50), st.integers(0, 2**32 - 1))
-def test_leak_is_the_shortest_time(seconds: list[float], seed: int) -> None:
-    frames = frames_of(walk=np.sort(seconds))
-    split = np.random.default_rng(seed).choice(np.array(["train", "test"], dtype=object), len(frames))
-    t = frames["t_ns"].to_numpy() * 1e-9
-    apart = [abs(a - b) for a in t[split == "train"] for b in t[split == "test"]]
-    leak = leak_seconds(frames, split)
-    assert leak == (pytest.approx(min(apart), abs=1e-6) if apart else None)

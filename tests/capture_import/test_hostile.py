@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import sys
 import tempfile
 import zipfile
 from pathlib import Path
@@ -13,7 +12,7 @@ from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.media.archive import unpack
-from groundwalk.capture_import.parsing import json_of, lines_of, parsed_bytes
+from groundwalk.capture_import.parsing import json_of, lines_of
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
@@ -121,21 +120,6 @@ def test_a_json_file_is_refused_before_it_takes_the_memory(tmp_path: Path) -> No
             json_of(log, Limits())
 
 
-@pytest.mark.parametrize(
-    "part", ["[]", "{}", "1.5", "1", '"ab"', '{"key":1.25}', "[1.5,2.5,3.5,4.5]", "[[[]]]", "null"]
-)
-def test_the_memory_of_a_json_text_is_not_underestimated(part: str) -> None:
-    """Held against what this Python's objects take, as `sys.getsizeof` has it."""
-    text = "[" + ",".join([part] * 1000) + "]"
-
-    def size_of(value: object) -> int:
-        inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-        shared = value is None or (isinstance(value, int) and value < 257)
-        return (0 if shared else sys.getsizeof(value)) + sum(map(size_of, inner))
-
-    assert size_of(json.loads(text)) <= parsed_bytes(text)
-
-
 def test_logs_are_read_line_by_line_within_limits(tmp_path: Path) -> None:
     log = tmp_path / "log.txt"
     log.write_text("﻿# head\n\nfirst\r\nsecond\n" + "noise\n" * 1000 + "last", encoding="utf-8")
@@ -150,9 +134,6 @@ def test_logs_are_read_line_by_line_within_limits(tmp_path: Path) -> None:
             lines_of(log, limits)
     log.write_text("1 " * 600_000)
     with pytest.raises(UserError, match="line 1 is longer"):
-        lines_of(log, Limits())
-    log.write_bytes(b"a\n\xff\n")
-    with pytest.raises(UserError, match="UTF-8"):
         lines_of(log, Limits())
     with pytest.raises(UserError, match="can't be read"):
         lines_of(tmp_path / "none", Limits())
@@ -175,6 +156,7 @@ def test_a_session_of_a_long_name_is_imported(tmp_path: Path, name: str) -> None
         ("image", "/etc/hostname", "leads out of the recording"),
         ("t_ns", 2**63 - 1, "nanoseconds"),
         ("t_ns", 1 - 2**63, "nanoseconds"),
+        ("note", "NOT UTF-8", "row isn't UTF-8 text"),
     ],
 )
 def test_one_hostile_row_is_one_reject(tmp_path: Path, key: str, value: object, reason: str) -> None:
@@ -182,7 +164,7 @@ def test_one_hostile_row_is_one_reject(tmp_path: Path, key: str, value: object, 
     WRITERS["frames_jsonl"].write(log.parent, make_walk(20))
     rows = [json.loads(line) for line in log.read_text().splitlines()]
     rows[3][key] = value
-    log.write_text("\n".join(map(json.dumps, rows)))
+    log.write_bytes("\n".join(map(json.dumps, rows)).encode().replace(b"NOT UTF-8", b"\xe9"))
     artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["sampling=all", "check_convention=false"])
     rejects = read_table(artefact / "rejects.parquet", schema("import", "rejects"))
     assert rejects.loc[rejects["source"].str.contains("jsonl"), "reason"].str.contains(reason).sum() == 1

@@ -32,7 +32,7 @@ def test_each_session_has_its_own_tree(tmp_path: Path) -> None:
         assert rows[f"{at}/vio"] == rows[f"{at}/frames"] == 1
         # The curve of speed has a step fewer than there are poses, and a row for its name.
         assert rows[f"{at}/speed"] == poses and rows[f"{at}/sharpness"] == images + 1
-        assert rows[f"{at}/camera"] == rows[f"{at}/camera/image"] == images
+        assert rows[f"/images/{session}"] == images
     assert rows["/walk/log/rejects"] == 1 and rows["/walk/rejects"] == 1
     assert rows["/walk/log/jumps"] == 1 and rows["/walk/jumps"] == 1
     assert not {"/other/jumps", "/other/rejects", "/walk.part2/log/rejects"} & rows.keys()
@@ -42,4 +42,4 @@ def test_a_reference_is_not_shown_as_odometry(tmp_path: Path) -> None:
     WRITERS["seven_scenes"].write(tmp_path / "captures" / "place" / "seq-01", make_walk(20, every=1))
     rows = rows_of(execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["sampling='all'"]) / "recording.rrd")
     assert rows["/seq-01/reference"] == 1 and "/seq-01/vio" not in rows
-    assert rows["/seq-01/camera/image"] == 20
+    assert rows["/images/seq-01"] == 20

@@ -103,17 +103,11 @@ def test_support_frames_are_added_between_frames_that_stay_the_same(tmp_path: Pa
     dataset, support = frames[~frames["support"]], frames[frames["support"]]
     assert not alone["frames"]["support"].any() and len(support) > 10
     pd.testing.assert_frame_equal(dataset.reset_index(drop=True), alone["frames"])
-    steps = np.diff(dataset.loc[dataset["session_id"] == "walk", "t_ns"]) * 1e-9
-    assert len(steps) == 20 and steps.min() >= 0.5 and steps.max() <= 1.5  # one frame a second
     figures = tables["figures"]
     assert (figures["frames"], figures["support_frames"]) == (len(dataset), len(support))
-    assert sum(figures[f"frames_{split}"] for split in ("train", "val", "test")) == len(dataset)
-    assert figures["not_sampled"] == 152 - len(frames)
     for session_id, used in frames.groupby("session_id"):
-        assert used["t_ns"].is_monotonic_increasing and not used["support"].iloc[[0, -1]].any()
         row = sessions.loc[session_id]
         assert (row["frames"], row["support_frames"]) == ((~used["support"]).sum(), used["support"].sum())
-        assert row["support_frames"] <= row["frames"] and row["frames"] < row["images"]
         own = used[~used["support"]]
         for extra in rows(used[used["support"]]):
             assert extra.split == own["split"].iloc[(own["t_ns"] - extra.t_ns).abs().argmin()]
@@ -130,16 +124,6 @@ def test_the_same_capture_gives_the_same_bytes_whatever_the_order_of_its_files(t
     assert pd.read_parquet(one / "frames.parquet")["support"].sum() > 5
     tables = {path.name: path.read_bytes() for path in one.glob("*.parquet")}
     assert tables == {path.name: path.read_bytes() for path in two.glob("*.parquet")}
-
-
-def test_a_capture_with_too_few_frames_is_thinned_evenly_to_so_many(tmp_path: Path) -> None:
-    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(301, every=1))  # 30 s, 31 frames at 1 Hz
-    frames = run_import(tmp_path, "place", "max_support_fraction=0", "images='copy'")["frames"]
-    steps = np.diff(frames["t_ns"])[:-1] * 1e-9
-    assert 60 <= len(frames) <= 64 and steps.min() >= 0.25 and steps.max() <= 0.75
-    for row in rows(frames):
-        copied = (tmp_path / "runs/tiny/place/import" / row.image.removeprefix("import:")).read_bytes()
-        assert copied == (tmp_path / f"captures/place/walk/frame_{int(row.frame_id[-6:]):05d}.jpg").read_bytes()
 
 
 def test_a_broken_row_costs_that_row_and_says_why(tmp_path: Path) -> None:
@@ -260,17 +244,38 @@ def test_user_mistakes_are_told_in_a_few_lines(tmp_path: Path) -> None:
         run_import(tmp_path, "bytes")
 
 
+def test_what_a_capture_states_of_its_shutter_is_in_frames_and_an_absurd_readout_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "captures" / "place" / "walk"
+    write_frames_jsonl(folder, make_walk(8))
+    log = folder / "frames.jsonl"
+    as_written = log.read_text()
+
+    def stated(**members: object) -> None:
+        log.write_text(as_written.replace("{", json.dumps(members)[:-1] + ", ", 1))
+
+    for settings, side in (([], "bottom"), (["first_row='left'"], "left")):
+        stated(first_row="bottom", readout_s=0.0187)
+        frames = pd.read_parquet(execute(STAGE, "place", "tiny", DataRoot(tmp_path), settings) / "frames.parquet")
+        assert set(frames["first_row"]) == {side} and set(frames["stated_readout_s"]) == {0.0187}
+    stated(first_row="down")
+    with pytest.raises(UserError, match="first_row"):
+        execute(STAGE, "place", "tiny", DataRoot(tmp_path))
+    for wrong in (18.7, -0.01, True, "20 ms"):
+        stated(readout_s=wrong)
+        with pytest.raises(UserError, match="readout_s, seconds, 0 to 0"):
+            execute(STAGE, "place", "tiny", DataRoot(tmp_path))
+
+
 def _with(walk: Walk, fault: str) -> Walk:
     """The walk with a fault that no single row shows."""
     count, xyz = len(walk.t_ns), walk.vio_T_cam[:, :3, 3]
-    units = {"tenths of a metre": 10, "centimetres": 100, "millimetres": 1000, "kilometres": 1e-3}
+    units = {"tenths of a metre": 10, "millimetres": 1000, "kilometres": 1e-3}
     changed = {
         "turning alone": {"vio_T_cam": make_pose(walk.vio_T_cam[:, :3, :3], np.repeat(xyz[:1], count, axis=0))},
         "frozen": {"vio_T_cam": np.repeat(walk.vio_T_cam[:1], count, axis=0)},
         "one image": {"has_image": np.arange(count) == 4},
         "black": {"pictures": np.zeros((count, HEIGHT, WIDTH, 3), np.uint8)},
         "milliseconds": {"t_ns": walk.t_ns * 1000},
-        "microseconds": {"t_ns": walk.t_ns // 1000},
         **{name: {"vio_T_cam": make_pose(walk.vio_T_cam[:, :3, :3], f * xyz)} for name, f in units.items()},
     }
     return replace(walk, **changed[fault])
@@ -303,9 +308,7 @@ def test_what_is_not_plausible_is_told_by_inspect_and_import(
 @pytest.mark.parametrize(
     ("fault", "refusal", "status"),
     [
-        ("centimetres", r"(?s)walk isn't plausible.*at most 100 m/s.*m/s \(median", "unusable: not plausible"),
         ("millimetres", r"(?s)walk isn't plausible.*in millimetres it would be 1.2 m/s", "unusable: not plausible"),
-        ("microseconds", r"(?s)walk isn't plausible.*at most 100 m/s", "unusable: not plausible"),
         (
             "frozen",
             r"(?s)walk isn't plausible.*all 24 poses are equal while 12 images differ: odometry didn't run.*back",

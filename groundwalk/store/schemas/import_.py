@@ -18,7 +18,7 @@ frames 2.5: Images that are used, each with its intrinsics and the phone's pose:
     height (int64, px): image height
     f{xy} (float64, px): focal length, {}
     c{xy} (float64, px): principal point, {}; the first pixel's outer corner is 0
-    distortion (list<float64>): OpenCV's k1, k2, p1, p2, k3, ...; empty: none
+    distortion (list<float64>): OpenCV's k1, k2, p1, p2, k3, ...; empty: not stated; zeros: stated to be none
     focal_sd (float64): standard error of fx and fy, as a fraction, where they are EXIF's or a guess; 0: as logged
     first_row (ImageSide): side of the image that the sensor reads out first (rolling shutter); sfm estimates a readout
         time below 0 where it is the opposite one

@@ -82,7 +82,7 @@ def with_mistake(session: Session, name: str) -> Session:
     for image in session.images:
         camera = image.camera
         pose, k = change((there(image.vio_T_cam), np.array([camera.fx, camera.fy, camera.cx, camera.cy])))
-        mistaken = replace(Intrinsics.of(k.tolist()), distortion=camera.distortion)
+        mistaken = replace(Intrinsics(*k.tolist()), distortion=camera.distortion)
         images.append(replace(image, vio_T_cam=pose, intrinsics=mistaken))
     return replace(session, frames=images)
 

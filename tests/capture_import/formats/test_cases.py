@@ -21,6 +21,7 @@ from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.scanner_app import FORMAT as SCANNER_APP
 from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.store import DataRoot, UserError, execute
+from tests.capture_import.capture_writers import read_one
 from tests.known import there
 
 
@@ -54,11 +55,6 @@ def make(cases: ModuleType, tmp_path: Path) -> Make:
     return made
 
 
-def read_one(folder: Path, format_name: str = "auto") -> Recording:
-    (found,) = find_recordings(folder, folder.parent / "unpacked", Limits(), format_name)
-    return found.read(Limits())
-
-
 def inspected(folder: Path) -> tuple[list[str], list[str]]:
     """What `inspect` says of a capture, and which of its recordings it calls unusable."""
     unusable: list[str] = []
@@ -71,11 +67,6 @@ def poses_of(raw: Recording) -> np.ndarray:
 
 def names_of(raw: Recording) -> list[str]:
     return [frame.image.path.name for frame in raw.frames if isinstance(frame.image, ImageFile)]
-
-
-def test_each_layout_is_tested_or_listed(cases: ModuleType) -> None:
-    text = Path(__file__).read_text(encoding="utf-8")
-    assert {name for name in cases.CASES if f'"{name}"' not in text} == set()
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from tests.capture_import.capture_writers import (
     find_one,
     image,
     make_walk,
+    read_one,
     rejects_of,
     sessions_in,
     write_arcore_logger,
@@ -107,7 +108,7 @@ def test_each_image_is_read_or_a_reject(tmp_path: Path, name: str) -> None:
     third.with_name(f"copy{third.suffix.upper()}").write_bytes(third.read_bytes())
     third.with_name("live.HEIC").write_bytes(b"heic")
     expected = {f"IMG_{second.name}", f"copy{third.suffix.upper()}", "live.HEIC"}
-    raw = find_one(root).read(Limits())
+    raw = read_one(root)
     rejected = {Path(reject.source).name for reject in raw.rejects}
     read = {f.image.path.name for f in raw.frames if isinstance(f.image, ImageFile) and f.image.path.is_file()}
     upper = first.with_suffix(first.suffix.upper()).name
@@ -125,7 +126,7 @@ def test_two_files_of_one_frame_number_are_named(tmp_path: Path) -> None:
     for suffix in ("json", "jpg"):
         shutil.copy(folder / f"frame_00003.{suffix}", folder / f"frame_3.{suffix}")
     shutil.copy(folder / "frame_00004.jpg", folder / "frame_00004.JPEG")
-    raw = find_one(tmp_path / "place").read(Limits())
+    raw = read_one(tmp_path / "place")
     assert len(raw.frames) == 8
     assert {r.source for r in raw.rejects} == {"frame_3.json", "frame_3.jpg", "frame_00004.JPEG"}
     assert raw.rejects[0].reason == "frame_00003.json has the same frame number"
@@ -136,7 +137,7 @@ def test_kitti_poses_beside_the_sequences_are_read_and_a_sequence_without_is_tol
     WRITERS["kitti"].write(sequence, walk)
     (tmp_path / "place" / "poses").mkdir()
     (sequence / "poses.txt").rename(tmp_path / "place" / "poses" / "07.txt")
-    raw = find_one(tmp_path / "place").read(Limits())
+    raw = read_one(tmp_path / "place")
     assert raw.recording_id == "07" and not raw.is_gravity_aligned
     np.testing.assert_allclose(poses_of(raw.frames), walk.vio_T_cam, atol=1e-9)
     shutil.rmtree(tmp_path / "place" / "poses")
@@ -207,7 +208,7 @@ def test_public_data_sets_keep_their_split_and_have_no_vio(tmp_path: Path) -> No
     assert unlisted.split is None
     assert "TestSplit.txt" in unlisted.notes[0]
     write_cambridge(tmp_path / "church" / "seq1", make_walk(8))
-    assert {frame.split for frame in find_one(tmp_path / "church").read(Limits()).frames} == {"train"}
+    assert {frame.split for frame in read_one(tmp_path / "church").frames} == {"train"}
 
 
 def test_ios_loggers_gps_is_read_in_both_of_its_versions(tmp_path: Path) -> None:
@@ -219,7 +220,7 @@ def test_ios_loggers_gps_is_read_in_both_of_its_versions(tmp_path: Path) -> None
         "5003.0,48.1",
     ]
     (tmp_path / "place" / "walk" / "GPS.txt").write_text("\n".join(lines))
-    fixes, rejects = there(find_one(tmp_path / "place").read(Limits()).read_gps)()
+    fixes, rejects = there(read_one(tmp_path / "place").read_gps)()
     assert [(fix.t_ns, fix.latitude_deg, fix.longitude_deg) for fix in fixes] == [
         (5000 * 10**9, 48.1, 11.5),
         (5001 * 10**9, 48.1, 11.5),

@@ -15,15 +15,13 @@ import PIL.Image
 import pillow_heif
 import pytest
 
-from groundwalk.capture_import.capture import Limits, Recording
 from groundwalk.capture_import.definition import STAGE
-from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.images import image_file
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import read_table
-from tests.capture_import.capture_writers import image
+from tests.capture_import.capture_writers import image, read_one
 from tests.known import there
 
 WIDTH, HEIGHT = 320, 240
@@ -46,11 +44,6 @@ def write_photo(
         buffer, "PNG" if path.suffix == ".png" else "JPEG", quality=95, exif=content
     )
     path.write_bytes(buffer.getvalue())
-
-
-def read_one(folder: Path, format_name: str = "auto") -> Recording:
-    (found,) = find_recordings(folder, folder.parent / "unpacked", Limits(), format_name)
-    return found.read(Limits())
 
 
 def imported(data: Path) -> tuple[dict[str, pd.DataFrame], list[bytes]]:

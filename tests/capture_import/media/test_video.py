@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from groundwalk.capture_import.capture import Limits
-from groundwalk.capture_import.media.video import decode, frame_times, gray_pixels, require_row_per_frame, rgb_pixels
-from groundwalk.store import UserError
+from groundwalk.capture_import.media.video import decode, gray_pixels, rgb_pixels
 from tests.capture_import.capture_writers import HEIGHT, WIDTH, image, video_frame
 
 
@@ -67,12 +66,3 @@ def test_a_lost_frame_does_not_shift_the_others(tmp_path: Path, lost: int) -> No
     near = range(lost // 10 * 10 - 3, lost // 10 * 10 + 13)
     assert {i: seen for i, seen in found.items() if i not in near and i != seen} == {}
     assert found.keys() >= set(range(lost // 10 * 10 - 3))
-
-
-def test_a_log_with_another_number_of_rows_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "video.mp4"
-    write_long_video(path, 12)
-    assert len(frame_times(path, Limits())) == 12
-    require_row_per_frame(path, "Frames.txt", 12, Limits())
-    with pytest.raises(UserError, match=r"(?s)rows of Frames.txt.*12 frames, 13 rows"):
-        require_row_per_frame(path, "Frames.txt", 13, Limits())

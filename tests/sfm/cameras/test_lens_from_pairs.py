@@ -192,6 +192,15 @@ def test_a_readout_time_by_the_settings_goes_before_the_stated_one() -> None:
     assert held.stated_readout_s is None and not held.stated_readout_is_wrong
 
 
+def test_a_stated_lens_without_distortion_is_one() -> None:
+    frames = _frames((0.0, 0.0), 4)
+    frames["distortion"] = pd.Series([[]] * 2 + [[0.0] * 4] * 2)
+    prior = prior_lenses(frames, {"walk": "phone"}, SfmSettings())
+    unstated, stated = (prior.lenses[prior.lens[row]] for row in (0, 2))
+    assert (unstated.origin, stated.origin) == ("prior", "stated")
+    assert not np.any(stated.coefficients) and np.any(unstated.coefficients)
+
+
 def test_frames_share_a_lens_where_device_size_stated_lens_and_focal_length_are_the_same() -> None:
     frames = _frames((0.0, 0.0), 6)
     frames["session_id"] = ["a", "a", "b", "b", "c", "c"]
@@ -223,5 +232,5 @@ def _frames(stated: tuple[float, float], count: int) -> pd.DataFrame:
     row |= {"cy": 240.0, "stated_readout_s": np.nan} | {f"vio_cam_{name}": np.nan for name in ("tx", "ty", "tz")}
     row |= {f"vio_cam_q{name}": float(name == "w") for name in "xyzw"}
     frames = pd.DataFrame([row] * count)
-    frames["distortion"] = pd.Series([[*stated, 0.0, 0.0]] * count)
+    frames["distortion"] = pd.Series([[*stated, 0.0, 0.0] if any(stated) else []] * count)
     return frames

@@ -1,0 +1,110 @@
+"""Logs of poses without images: of use to study odometry.
+
+ARKit Data Logger, `ARKit_camera_pose.txt` (https://github.com/PyojinKim/ARKit-Data-Logger, README, "Output Format"):
+one row a pose, the time and a 3x4 matrix in row order, ARKit's camera to world (y up, z backward). Times are
+nanoseconds since the phone was started.
+
+ARCore Data Logger, `ARCore_sensor_pose.txt` (https://github.com/PyojinKim/ARCore-Data-Logger, the app's source and
+files): one row a pose, the time in nanoseconds, a quaternion xyzw and a position. It's ARCore's pose of Android's
+sensor axes (x right, y up, z out of the screen, for the phone held in portrait) in a world whose +y is up; the axes
+are those of a camera that looks along -z. Where the user taps a tag, some versions add a row with the time of the row
+before and the tags (`TAG001 TAG002`) at its end. Its pose is the same or one of other axes, which nothing tells
+apart: such rows aren't read.
+
+Walks recorded for "invisible maps" (https://github.com/occamLab/invisible-map-generation, its files): one JSON file;
+`pose_data` is a list of poses with `timestamp` (seconds since the phone was started) and `pose`, 16 numbers
+column-major, ARKit's camera to world. `location_data` holds coordinates of the earth and is never read.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from groundwalk.capture_import import parsing
+from groundwalk.capture_import.capture import Limits, RawFrame, Recording
+from groundwalk.capture_import.formats import Format
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock
+
+_TAGS = re.compile(r"(\s+TAG\d+)+\s*$")
+
+
+def read_arkit(path: Path, limits: Limits) -> Recording:
+    """Read the poses."""
+
+    def read_row(_: int, line: str) -> RawFrame:
+        time_ns, *matrix = parsing.split_numbers(line, 13)
+        pose = parsing.from_arkit(parsing.row_major_pose(matrix))
+        return RawFrame(parsing.seconds_to_ns(time_ns * 1e-9), pose)
+
+    frames, rejects = parsing.read_rows(parsing.lines_of(path, limits), read_row)
+    return Recording("iOS, ARKit Data Logger", Clock.BOOT, path.parent, frames, rejects)
+
+
+def read_arcore(path: Path, limits: Limits) -> Recording:
+    """Read the poses, without rows that only add a tag to the one before them."""
+    lines = parsing.lines_of(path, limits)
+    times = [line.split()[0] for _, line in lines]
+    rows = [
+        (source, line)
+        for (source, line), time, before in zip(lines, times, ["", *times], strict=False)
+        if time != before or not _TAGS.search(line)
+    ]
+
+    def read_row(_: int, line: str) -> RawFrame:
+        time_ns, qx, qy, qz, qw, *position = parsing.split_numbers(line, 8)
+        pose = parsing.from_arkit(parsing.quaternion_pose(position, [qx, qy, qz, qw]))
+        return RawFrame(parsing.seconds_to_ns(time_ns * 1e-9), pose)
+
+    frames, rejects = parsing.read_rows(rows, read_row)
+    notes = ["poses are of Android's sensor axes: turned from the camera's about the optical axis"]
+    if tagged := len(lines) - len(rows):
+        notes.append(f"{tagged} rows only add a tag to the pose before them: not read")
+    return Recording("Android, ARCore Data Logger", Clock.BOOT, path.parent, frames, rejects, notes=notes)
+
+
+def is_invisible_map(path: Path) -> bool:
+    """A JSON file that has pose_data."""
+    return path.suffix == ".json" and b'"pose_data"' in parsing.first_bytes(path, 64 << 20)
+
+
+def read_invisible_map(path: Path, limits: Limits) -> Recording:
+    """Read the poses."""
+    rows = parsing.json_of(path, limits).get("pose_data")
+    if not isinstance(rows, list):
+        raise UserError("pose_data is no list", where=path, expected="objects with timestamp and pose")
+
+    def read_row(_: int, row: Any) -> RawFrame:
+        pose = parsing.from_arkit(parsing.numbers(row, "pose", 16).reshape(4, 4).T)
+        return RawFrame(parsing.seconds_to_ns(parsing.number(row, "timestamp"), "timestamp"), pose)
+
+    frames, rejects = parsing.read_rows([(f"pose {i}", row) for i, row in enumerate(rows)], read_row)
+    return Recording("iOS", Clock.BOOT, path.parent, frames, rejects)
+
+
+ARKIT_LOGGER = Format(
+    id="arkit_logger",
+    label="ARKit Data Logger",
+    meaning="VIO only",
+    files=("ARKit_camera_pose*.txt",),
+    is_file=True,
+    read=read_arkit,
+)
+ARCORE_LOGGER = Format(
+    id="arcore_logger",
+    label="ARCore Data Logger",
+    meaning="VIO only",
+    files=("ARCore_sensor_pose*.txt",),
+    is_file=True,
+    read=read_arcore,
+)
+INVISIBLE_MAP = Format(
+    id="invisible_map",
+    label="Invisible Map walk",
+    meaning="VIO only",
+    files=("*.json",),
+    is_file=True,
+    detect=is_invisible_map,
+    looks_for="a JSON file with pose_data",
+    read=read_invisible_map,
+)
