@@ -16,7 +16,7 @@ import typer
 
 from groundwalk.capture_import.capture import ImageFile, Limits
 from groundwalk.capture_import.discovery import find_recordings
-from groundwalk.capture_import.media.blurring import CascadeDetector, Kind, Region
+from groundwalk.capture_import.media.blurring import Kind, PeopleDetector, Region
 from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.store.cli import new_app
 from groundwalk.store.progress import track
@@ -65,10 +65,11 @@ def is_detected(regions: list[Region], kind: Kind, centre: tuple[float, float]) 
 @app.command()
 def main(
     captures: Annotated[Path | None, typer.Option(help="Real captures that show neither faces nor plates.")] = None,
+    face_model: Annotated[Path | None, typer.Option(help="YuNet's file, as [import] face_model names it.")] = None,
     images: Annotated[int, typer.Option(help="Images looked at in each recording, spread over it.")] = 24,
 ) -> None:
     """Print the tables as Markdown."""
-    detect = CascadeDetector()
+    detect = PeopleDetector(face_model)
     print("| width, px | the portrait's face found | drawn plates found |\n|---|---|---|")
     for width in WIDTHS_PX:
         faces = [is_detected(detect(picture), "face", at) for picture, at in (with_portrait(width, *p) for p in PLACES)]

@@ -35,6 +35,11 @@ class ImportSettings(Settings):
         "the capture states, or else top, and right of images higher than wide",
     )
     blur: bool = Field(False, description="make faces and licence plates that a detector finds unrecognisable")
+    face_model: str = Field(
+        "",
+        description="blur: YuNet's ONNX file, relative to the data folder, which finds faces far better than OpenCV's "
+        "own detectors (docs/how-to/blur-faces.md); empty: those",
+    )
     gps: bool = Field(
         False,
         description="keep the positions on earth that photos and logs state, so that align can tell where on earth the "

@@ -19,7 +19,7 @@ from groundwalk.capture_import.checks.near_copies import MAX_FRACTION, find_near
 from groundwalk.capture_import.checks.plausibility import MAX_SPEED_M_S, plausibility_faults
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.held import held_frames
-from groundwalk.capture_import.media.blurring import CascadeDetector
+from groundwalk.capture_import.media.blurring import PeopleDetector
 from groundwalk.capture_import.media.depth import place_depths
 from groundwalk.capture_import.media.placing import Placement, place_images
 from groundwalk.capture_import.media.reading import ImageReader
@@ -42,7 +42,8 @@ from groundwalk.store.text import grouped_reasons, name_list, printable
 def run(r: StageRun[ImportSettings]) -> None:
     """Import the scene's captures."""
     settings, root = r.settings, r.captures.resolve()
-    detect = CascadeDetector() if settings.blur else None  # before images are read, as OpenCV may lack it
+    face_model = r.data.root / settings.face_model if settings.face_model else None
+    detect = PeopleDetector(face_model) if settings.blur else None  # before images are read, as one may be missing
     unpacked = r.scratch / "unpacked"
     reader = ImageReader([root, unpacked.resolve()], settings.limits)
     with r.step("images"):

@@ -1,8 +1,10 @@
 """Faces and licence plates: detected, and made unrecognisable before an image goes anywhere.
 
-The detectors are the boosted cascades that OpenCV 4 has in its package (P. Viola and M. Jones, "Rapid object detection
-using a boosted cascade of simple features", CVPR 2001); OpenCV 5 left them out. They detect frontal and side faces
-and plates of European form; docs/reference/capture-formats.md says how many they miss.
+Faces are found by YuNet (W. Wu, H. Peng and S. Yu, "YuNet: A Tiny Millisecond-level Face Detector", Machine
+Intelligence Research 2023), whose file comes with no package and which a setting names, or else by the boosted cascades
+that OpenCV 4 has in its package (P. Viola and M. Jones, "Rapid object detection using a boosted cascade of simple
+features", CVPR 2001; OpenCV 5 left them out), as plates are. Cascades detect frontal and side faces and plates of
+European form.
 """
 
 import threading
@@ -34,6 +36,8 @@ _LONG_SIDE = 1920
 _NEIGHBOURS = 3
 # A region is widened by this fraction on every side, and has so many colours across afterwards.
 _MARGIN = 0.2
+# YuNet: its certainty from which a region counts, the overlap of two that are one, and their largest number.
+_FACE_SCORE, _FACE_OVERLAP, _MAX_FACES = 0.6, 0.3, 5000
 _CELLS = 5
 
 
@@ -51,12 +55,16 @@ class Region(NamedTuple):
 Detector = Callable[[NDArray[np.uint8]], list[Region]]
 
 
-class CascadeDetector:
-    """OpenCV's cascades, loaded once a thread, as they can't be shared. UserError where OpenCV comes without."""
+class PeopleDetector:
+    """Faces by YuNet's file `face_model` (ONNX), where one is given, all else by OpenCV's cascades; loaded once a
+    thread, as they can't be shared. UserError where OpenCV comes without them, or the file is none of YuNet's."""
 
-    def __init__(self) -> None:
+    def __init__(self, face_model: Path | None = None) -> None:
         folder = Path(cv2.data.haarcascades)
-        self._paths = [(kind, folder / name, mirrored) for kind, name, mirrored in _CASCADES]
+        self._face_model = face_model
+        self._paths = [
+            (kind, folder / name, mirrored) for kind, name, mirrored in _CASCADES if kind == "plate" or not face_model
+        ]
         if not all(path.is_file() for _, path, _ in self._paths):
             raise UserError(
                 "this OpenCV comes without the detectors that blur needs",
@@ -66,26 +74,40 @@ class CascadeDetector:
                 do=f"make install, which has it, or set {setting_of('import', 'blur = false')}",
             )
         self._of_thread = threading.local()
+        try:
+            self(np.zeros((64, 64, 3), np.uint8))
+        except cv2.error as error:
+            raise UserError(
+                "the face detector's file can't be used",
+                where=face_model,
+                expected="YuNet, as face_detection_yunet_2023mar.onnx",
+                found=str(error).strip().splitlines()[-1][:200],
+                do=f"correct {setting_of('import', 'face_model')} (docs/how-to/blur-faces.md says where it is)",
+            ) from None
 
     def __call__(self, rgb: NDArray[np.uint8]) -> list[Region]:
-        gray = cv2.cvtColor(shrunk(rgb, _LONG_SIDE), cv2.COLOR_RGB2GRAY)
-        scale = rgb.shape[1] / gray.shape[1]
-        regions = []
-        for kind, cascade, mirrored in self._cascades():
+        if not hasattr(self._of_thread, "cascades"):
+            self._of_thread.cascades = [(k, cv2.CascadeClassifier(str(path)), m) for k, path, m in self._paths]
+            if self._face_model:
+                limits = (_FACE_SCORE, _FACE_OVERLAP, _MAX_FACES)
+                self._of_thread.faces = cv2.FaceDetectorYN.create(str(self._face_model), "", (64, 64), *limits)
+        small = shrunk(rgb, _LONG_SIDE)
+        scale = rgb.shape[1] / small.shape[1]
+        found: list[tuple[Kind, Any]] = []
+        if self._face_model:
+            self._of_thread.faces.setInputSize(small.shape[1::-1])
+            _, boxes = self._of_thread.faces.detect(cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
+            found = [("face", box[:4]) for box in (() if boxes is None else boxes)]
+        gray = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)
+        for kind, cascade, mirrored in self._of_thread.cascades:
             for flipped in (False, True) if mirrored else (False,):
                 image = cv2.flip(gray, 1) if flipped else gray
                 boxes = cascade.detectMultiScale(
                     image, scaleFactor=1.1, minNeighbors=_NEIGHBOURS, minSize=_MIN_SIZE[kind]
                 )
-                for x, y, width, height in boxes:
-                    left = gray.shape[1] - x - width if flipped else x
-                    regions.append(Region(kind, *(round(float(v) * scale) for v in (left, y, width, height))))
-        return regions
-
-    def _cascades(self) -> list[tuple[Kind, Any, bool]]:
-        if not hasattr(self._of_thread, "cascades"):
-            self._of_thread.cascades = [(k, cv2.CascadeClassifier(str(path)), m) for k, path, m in self._paths]
-        return list(self._of_thread.cascades)
+                for x, *of_box in boxes:
+                    found.append((kind, (gray.shape[1] - x - of_box[1] if flipped else x, *of_box)))
+        return [Region(kind, *(round(float(v) * scale) for v in box)) for kind, box in found]
 
 
 def blur_people(rgb: NDArray[np.uint8], detect: Detector, quarters: int) -> tuple[NDArray[np.uint8], list[Region]]:

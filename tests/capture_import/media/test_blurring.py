@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from groundwalk.capture_import.definition import STAGE
-from groundwalk.capture_import.media.blurring import CascadeDetector, Region, blur_people
+from groundwalk.capture_import.media.blurring import PeopleDetector, Region, blur_people
 from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import DataRoot, UserError, execute
@@ -127,7 +127,7 @@ def test_the_blurring_of_a_face_is_in_the_artefact(
     frames = pd.read_parquet(artefact / "frames.parquet")
     assert np.flatnonzero(frames["blurred_faces"] > 0).tolist() == [2, 7]
     assert load_manifest(artefact)["figures"]["blurred_faces"] == frames["blurred_faces"].sum()
-    detect = CascadeDetector()
+    detect = PeopleDetector()
     for row in rows(frames):
         assert row.image.startswith("import:") == (row.blurred_faces > 0 or write is write_stray_scanner)
         if row.blurred_faces:
@@ -147,7 +147,7 @@ def test_a_drawn_plate_is_found() -> None:
     rgb = np.full((800, 1200, 3), (40, 45, 60), np.uint8)
     rgb[400:440, 500:686] = 245
     cv2.putText(rgb, "M AB 1234", (510, 432), cv2.FONT_HERSHEY_SIMPLEX, 0.95, (15, 15, 15), 3, cv2.LINE_AA)
-    found = CascadeDetector()(rgb)
+    found = PeopleDetector()(rgb)
     assert any(r.kind == "plate" and r.x < 593 < r.x + r.width and r.y < 420 < r.y + r.height for r in found)
 
 
@@ -156,3 +156,32 @@ def test_a_turn_in_a_pngs_exif_is_left_out() -> None:
     turned = b"MM\0*" + struct.pack(">IHHHIHHI", 8, 1, 0x0112, 3, 1, 6, 0, 0)
     chunk = struct.pack(">I", len(turned)) + b"eXIf" + turned + struct.pack(">I", zlib.crc32(b"eXIf" + turned))
     assert decode_rgb(data[:33] + chunk + data[33:], 1000).shape == (48, 64, 3)
+
+
+def test_faces_are_found_by_a_named_model_in_place_of_cascades(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Faces:
+        def setInputSize(self, size: tuple[int, int]) -> None:
+            self.width = size[0]
+
+        def detect(self, bgr: np.ndarray) -> tuple[int, np.ndarray | None]:
+            box = [-4.0, 20, 60, 80, *[0.0] * 10, 0.9]
+            return 1, np.array([box], np.float32) if bgr.shape[1] == self.width > 64 and bgr[0, 0, 0] > 200 else None
+
+    monkeypatch.setattr(cv2.FaceDetectorYN, "create", lambda *_: Faces())
+    detect = PeopleDetector(tmp_path / "yunet.onnx")
+    assert not detect(decode_rgb(jpeg_with_metadata(0), 2**31))
+    blue = np.full((360, 480, 3), (0, 0, 255), np.uint8)
+    assert detect(blue) == [Region("face", -4, 20, 60, 80)]
+    blue[20:100:2] = 0
+    erased, _ = blur_people(blue, detect, quarters=0)
+    assert np.abs(np.diff(erased[30:90, 5:50].astype(int), axis=0)).max() < 60
+
+
+@pytest.mark.parametrize("content", [None, b"no network"])
+def test_a_face_model_that_cannot_be_used_is_named(tmp_path: Path, content: bytes | None) -> None:
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk())
+    if content:
+        (tmp_path / "yunet.onnx").write_bytes(content)
+    with pytest.raises(UserError, match="face detector's file can't be used" if content else "settings of scene place"):
+        execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["blur=true", "face_model=yunet.onnx"])
+    assert not (tmp_path / "runs" / "tiny" / "place" / "import").exists()
