@@ -62,7 +62,10 @@ def unpack(archive: Path, target: Path, limits: Limits) -> None:
                     found=f"{free / 2**20:,.0f} MiB free",
                     do="free some space",
                 )
-            remaining = _bytes_left(archive, target, limits)
+            others = [path for other in target.parent.iterdir() if other != target for path in other.rglob("*")]
+            used = sum(path.lstat().st_size for path in others if path.is_file())
+            by_ratio = _ANY_RATIO_BYTES + int(limits.max_archive_ratio * archive.stat().st_size)
+            remaining = min(limits.max_archive_bytes - used, by_ratio)
             for member in members:
                 place = _place(archive, partial, member)
                 if member.is_dir():
@@ -80,14 +83,6 @@ def unpack(archive: Path, target: Path, limits: Limits) -> None:
         ) from None
     sync_tree(partial)
     partial.rename(target)
-
-
-def _bytes_left(archive: Path, target: Path, limits: Limits) -> int:
-    """How many bytes may still be unpacked from an archive."""
-    others = [path for other in target.parent.iterdir() if other != target for path in other.rglob("*")]
-    used = sum(path.lstat().st_size for path in others if path.is_file())
-    by_ratio = _ANY_RATIO_BYTES + int(limits.max_archive_ratio * archive.stat().st_size)
-    return min(limits.max_archive_bytes - used, by_ratio)
 
 
 def _place(archive: Path, folder: Path, member: zipfile.ZipInfo) -> Path:

@@ -59,7 +59,7 @@ def check_join(path: Path, log: str, frames: Sequence[RawFrame], rows: int, limi
     if rows == len(video_ns) or not frames:
         return []
     refs = [(frame.t_ns, frame.image.index) for frame in frames if isinstance(frame.image, VideoFrame)]
-    off_ns = np.array([t_ns - video_ns[index] for t_ns, index in refs if index < len(video_ns)], dtype=np.int64)
+    off_ns = np.array([t_ns - video_ns[index] for t_ns, index in refs if 0 <= index < len(video_ns)], dtype=np.int64)
     interval = float(np.median(np.diff(video_ns))) if len(video_ns) > 1 else 0.0
     apart = np.abs(off_ns - off_ns[0]).max() if len(off_ns) else np.inf
     if apart > interval / 2:

@@ -183,7 +183,11 @@ def test_older_stray_scanner_has_one_camera_and_a_video_that_starts_elsewhere_is
     assert "last frame" in session.recording.notes[0]
     # One frame fewer at the end is told; frames missing in the middle are refused.
     write_video(folder / "rgb.mp4", walk, range(23))
-    assert [r.reason for r in rejects_of(sessions_in(tmp_path / "place"))] == ["video ends before this frame"]
+    log = (folder / "odometry.csv").read_text()
+    (folder / "odometry.csv").write_text(log.replace(" 000005,", " -99,"))
+    reasons = [r.reason for r in rejects_of(sessions_in(tmp_path / "place"))]
+    assert reasons == ["video frame is missing or out of order", "video ends before this frame"]
+    (folder / "odometry.csv").write_text(log)
     header, *rows = (folder / "odometry.csv").read_text().splitlines()
     numbered = [row.split(", ") for row in rows[:4] + rows[12:]]
     rows = [", ".join([time, f"{n:06d}", *rest]) for n, (time, _, *rest) in enumerate(numbered)]
