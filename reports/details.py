@@ -304,14 +304,14 @@ def localisers(scene: SceneInputs) -> Grid | None:
     return plain_grid(key, "Structure localisers", caption, f"{heads} | test frames refused", rows, 2)
 
 
-def checks(findings: pd.DataFrame, source: str) -> Grid | None:
-    """The findings about one source's tables that don't agree."""
+def checks(findings: pd.DataFrame) -> Grid | None:
+    """The findings that don't agree."""
     rows = [
         [f.check, f.table, f.scene, f.subset, f.column, f.expected, f.printed, f.status, f.because]
-        for f in _records(findings[(findings["source"] == source) & (findings["status"] != AGREES)])
+        for f in _records(findings[findings["status"] != AGREES])
     ]
     heads = "rule | table | scene | subset | column | by the rule | printed | status | why"
-    return plain_grid(f"checks-{source}", "What doesn't agree", "Rules: docs/explanation/reports.md.", heads, rows, 9)
+    return plain_grid("checks-ours", "What doesn't agree", "Rules: docs/explanation/reports.md.", heads, rows, 9)
 
 
 def provenance(scene: SceneInputs) -> Grid | None:

@@ -11,7 +11,7 @@ from groundwalk.geometry.rows import evenly
 from groundwalk.reports import details
 from groundwalk.reports.cells import LocaliserErrors
 from groundwalk.reports.figures import Picture
-from groundwalk.reports.grids import OURS, Grid, html_table
+from groundwalk.reports.grids import Grid, html_table
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.templating import from_template
 from groundwalk.reports.verdict import State, Verdict, usual_drift
@@ -159,5 +159,5 @@ def render(
         overview_heads=details.OVERVIEW,
         overview=[details.overview(s.scene, s.verdict, s.localiser_errors) for s in sections],
         checks=len(findings),
-        disagreeing=html_table(details.checks(findings, OURS)),
+        disagreeing=html_table(details.checks(findings)),
     )
