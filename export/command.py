@@ -12,7 +12,8 @@ import pandas as pd
 import typer
 
 from groundwalk.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number, with_georeference
-from groundwalk.export.exporters import EXPORTERS, MODEL_EXPORTERS
+from groundwalk.export.exporters import EXPORTERS
+from groundwalk.runtime.bundle_file import MANIFEST
 from groundwalk.store import DataRoot, UserError, progress
 from groundwalk.store.cli import DataOption, ProfileOption
 from groundwalk.store.files import file_names, fresh_folder, refuse_to_overwrite, write_json
@@ -21,6 +22,7 @@ from groundwalk.store.images import verify_images
 from groundwalk.store.inputs import held
 from groundwalk.store.tables import CAMERA_COLUMNS
 
+_PHONE = "phone"  # of a regressor, where the others are of ground truth
 _NOTE = "export.json"
 _FRAMES = "frames.csv"
 _PLACES = "georeference.csv"
@@ -34,10 +36,9 @@ _READ_FOR_MODEL = ("import", "align", "train", "fuse")
 
 def _format_id(name: str) -> str:
     """The id of an exporter; as a wrong choice among options where there is none."""
-    for exporters in (EXPORTERS, MODEL_EXPORTERS):
-        if name in exporters or name in exporters.problems:
-            return exporters.known(name)
-    raise typer.BadParameter(f"{name!r} is not one of {', '.join([*EXPORTERS, *MODEL_EXPORTERS])}")
+    if name == _PHONE or name in EXPORTERS or name in EXPORTERS.problems:
+        return name if name == _PHONE else EXPORTERS.known(name)
+    raise typer.BadParameter(f"{name!r} is not one of {', '.join([*EXPORTERS, _PHONE])}")
 
 
 class ImagesOption(StrEnum):
@@ -87,7 +88,7 @@ def export(
     `frames.csv` lists every frame with its split, quality, image and camera; `export.json` says what the export is.
     docs/how-to/phone.md says what format phone writes.
     """
-    if (name in MODEL_EXPORTERS) != bool(model):
+    if (name == _PHONE) != bool(model):
         raise UserError(
             f"format {name} needs the id of a regressor" if not model else f"format {name} is not of a regressor",
             where="--model",
@@ -97,7 +98,7 @@ def export(
     scenes, stages = [scene, *root.leaves(root.scene(scene)[0])], _READ_FOR_MODEL if model else _READ_FOR_TRUTH
     with held(root, profile, scenes, stages) as refuse_changed:
         if model:
-            _export_model(root, profile, scene, model, name, out, refuse_changed, force=force)
+            _export_regressor(root, profile, scene, model, out, refuse_changed, force=force)
             return
         reads_images = images is not ImagesOption.none
         dataset = load_dataset(root, profile, scene, reads_images=reads_images)
@@ -134,28 +135,20 @@ def export(
         progress.console.print("  the captures are simulated, and export.json says so")
 
 
-def _export_model(
-    data: DataRoot,
-    profile: str,
-    scene: str,
-    model: str,
-    name: str,
-    out: Path,
-    refuse_changed: Callable[[], None],
-    *,
-    force: bool,
+def _export_regressor(
+    data: DataRoot, profile: str, scene: str, model: str, out: Path, refuse_changed: Callable[[], None], *, force: bool
 ) -> None:
-    from groundwalk.export.regressor import load_regressor  # PyTorch, which ground truth doesn't need
+    # PyTorch, which ground truth doesn't need.
+    from groundwalk.export.phone.bundle import write_bundle
+    from groundwalk.export.regressor import load_regressor
 
-    exporter = MODEL_EXPORTERS.find(name)
-    with _export_folder(out, exporter.note, force=force) as folder:
+    with _export_folder(out, MANIFEST, force=force) as folder:
         regressor = load_regressor(data, profile, scene, model)
-        with MODEL_EXPORTERS.guard(name):
-            said = exporter.write(regressor, folder)
+        said = write_bundle(regressor, folder)
         refuse_changed()
     if regressor.simulated:
-        said = [*said, f"the captures are simulated, and {exporter.note} says so"]
-    for line in (f"{model} of {scene} as {name} → {out.absolute()}", *(f"  {line}" for line in said)):
+        said = [*said, f"the captures are simulated, and {MANIFEST} says so"]
+    for line in (f"{model} of {scene} as {_PHONE} → {out.absolute()}", *(f"  {line}" for line in said)):
         progress.console.print(line)
 
 

@@ -5,14 +5,12 @@ from functools import partial
 from groundwalk.export import kapture
 from groundwalk.export.cambridge import write_cambridge
 from groundwalk.export.colmap import write_colmap
-from groundwalk.export.exporters import Exporter, ModelExporter
+from groundwalk.export.exporters import Exporter
 from groundwalk.export.hloc import write_hloc
 from groundwalk.export.huggingface import write_huggingface
 from groundwalk.export.nerfstudio import DISTORTION, write_nerfstudio
 from groundwalk.export.seven_scenes import write_seven_scenes
 from groundwalk.export.tum import write_tum
-from groundwalk.runtime.bundle_file import MANIFEST
-from groundwalk.store.registry import Lazy
 
 COLMAP = Exporter(
     id="colmap",
@@ -76,11 +74,4 @@ HUGGINGFACE = Exporter(
     meaning="Parquet with images, a dataset card and Croissant metadata",
     write=write_huggingface,
     distortion_coefficients=None,
-)
-PHONE = ModelExporter(
-    id="phone",
-    label="phone",
-    meaning="a bundle: networks as ONNX and Core ML, preprocessing, map frame, golden queries",
-    write=Lazy("groundwalk.export.phone.bundle:write_bundle"),
-    note=MANIFEST,
 )

@@ -1,15 +1,12 @@
-"""The layouts that ground truth and regressors are exported in: what a record of one says, and those that there are."""
+"""The layouts that ground truth is exported in: what a record of one says, and those that there are."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from groundwalk.export.dataset import Dataset, Images
 from groundwalk.store.registry import Entry, Registry, callable_faults
-
-if TYPE_CHECKING:
-    from groundwalk.export.regressor import TrainedRegressor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,27 +31,3 @@ class Exporter(Entry):
 
 
 EXPORTERS = Registry("groundwalk.exporters", Exporter)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModelExporter(Entry):
-    """A layout of a trained regressor: `write(regressor, folder)` writes it into an empty folder and returns what to
-    tell the user of it, a line each.
-
-    note: the file in the folder that tells an export from another folder, a JSON object with the members `format` and
-    `files`, the names of all other files (a list, or an object's keys).
-    """
-
-    noun: ClassVar[str] = "model format"
-
-    write: Callable[["TrainedRegressor", Path], list[str]] = field(repr=False)
-    note: str
-
-    def faults(self) -> Iterable[str]:
-        yield from super().faults()
-        yield from callable_faults(self, ["write"])
-        if not isinstance(self.note, str):
-            yield f"note is {self.note!r}, not a file's name"
-
-
-MODEL_EXPORTERS = Registry("groundwalk.model_exporters", ModelExporter)

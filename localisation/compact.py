@@ -1,5 +1,8 @@
 """The compact map `Map`: what it knows of its points, and its file (docs/reference/map-format.md)."""
 
+import io
+import json
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,16 +12,17 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.frames import Lens
-from groundwalk.localisation.map_file import packed, read_sections, write_sections
 from groundwalk.localisation.matching import unit
 from groundwalk.localisation.pose import Priors
 from groundwalk.store.errors import UserError
+from groundwalk.store.files import written_aside
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float32]
 
 _BYTE = 127.0
 _LARGEST_COMPONENT = 0.6
+_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -78,18 +82,25 @@ def point_covariances(content: CompactMap) -> Array:
 
 
 def write_map(path: Path, content: CompactMap) -> None:
-    """Write the map's file."""
-    write_sections(path, *_to_sections(content))
+    """Write the map's file, the same bytes for the same content."""
+    with written_aside(path) as partial:
+        partial.write_bytes(_packed(_to_sections(content)))
 
 
 def bytes_by_section(content: CompactMap) -> dict[str, int]:
-    """The sizes of the sections of the map's file, and of what holds them."""
-    arrays, metadata = _to_sections(content)
+    """The sizes of the arrays of the map's file, and of what else is in it."""
+    arrays = _to_sections(content)
     sizes = {name: array.nbytes for name, array in arrays.items()}
-    return sizes | {"metadata and container": len(packed(arrays, metadata)) - sum(sizes.values())}
+    return sizes | {"container": len(_packed(arrays)) - sum(sizes.values())}
 
 
-def _to_sections(content: CompactMap) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+def _packed(arrays: dict[str, NDArray[Any]]) -> bytes:
+    file = io.BytesIO()
+    np.savez(file, **arrays)  # type: ignore[arg-type]
+    return file.getvalue()
+
+
+def _to_sections(content: CompactMap) -> dict[str, NDArray[Any]]:
     origin = np.floor(content.xyz.min(axis=0))
     extent = float((content.xyz - origin).max())
     small = extent < 65.0
@@ -106,6 +117,7 @@ def _to_sections(content: CompactMap) -> tuple[dict[str, NDArray[Any]], dict[str
         "basis": content.basis.astype(np.float16),
     }
     metadata = {
+        "version": _VERSION,
         "scene": content.scene,
         "origin_m": origin.tolist(),
         "step_m": step,
@@ -115,12 +127,22 @@ def _to_sections(content: CompactMap) -> tuple[dict[str, NDArray[Any]], dict[str
         "max_features": content.max_features,
         "max_side": content.max_side,
     }
-    return arrays, metadata
+    text = json.dumps(metadata, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return arrays | {"metadata": np.frombuffer(text.encode(), np.uint8)}
 
 
 def read_map(path: Path) -> CompactMap:
-    """A map from its file; UserError where that isn't one, or is damaged."""
-    a, m = read_sections(path)
+    """A map from its file; UserError where that isn't one, is damaged or of another version."""
+    try:
+        with np.load(path) as file:
+            a = {name: file[name] for name in file.files}
+        m = json.loads(bytes(a["metadata"]))
+        version = m["version"]
+    except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise UserError("a map can't be read", where=path, found=error, do="build it again") from error
+    if version != _VERSION:
+        do = "update groundwalk, or build the map again"
+        raise UserError("a map has another version", where=path, expected=_VERSION, found=version, do=do)
     try:
         views = np.tile(np.eye(4), (len(a["views"]), 1, 1))
         views[:, :3] = a["views"]

@@ -7,7 +7,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="localise",
-    version=5,
+    version=6,
     settings=LocaliseSettings,
     needs=("import", "sfm", "align"),
     run=Lazy("groundwalk.localisation.stage:run"),
@@ -15,5 +15,5 @@ STAGE = Stage(
     "its scenes' maps.",
     plugins=lambda settings: LOCALISERS.versions(settings.models),
     reads_images=lambda settings: True,
-    space_bytes=lambda settings, frames: (32 << 20) + frames * (50_000 + 300 * settings.max_features),
+    space_bytes=lambda settings, frames: (32 << 20) + frames * 100_000,
 )

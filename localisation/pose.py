@@ -18,7 +18,6 @@ from groundwalk.localisation.frames import row_times
 
 _CONVERGED = 5e-5  # rad, m
 _MIN_POINTS = 6
-_SCORED, _FINALISTS = 100, 20
 _UNKNOWNS = 13
 NO_VERTICAL = float(np.pi)
 """The `gravity_sd` of a map whose +y isn't up."""
@@ -93,81 +92,6 @@ def ransac(
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.linalg.norm(cam[:, :2] / cam[:, 2:] - ideal_M2, axis=1)
     return make_pose(cam_R_map.T, -cam_R_map.T @ cam_t), (cam[:, 2] > 0) & (error <= max_error)
-
-
-def upright_ransac(
-    ideal_M2: Array, xyz_M3: Array, gravity: Array, max_error: float, trials: int, seed: int
-) -> tuple[Array, NDArray[np.bool_]] | None:
-    """A pose map_T_cam and its inliers (M,) where gravity, a unit vector (3,) in the camera, is known, or None.
-
-    Ideal image points are at unit focal length, and so is `max_error`. Two points give a pose up to two solutions
-    (`upright_poses`); the best by truncated squared errors (MSAC; Torr and Zisserman, CVIU 2000) is taken.
-    """
-    count = len(ideal_M2)
-    if count < 2:
-        return None
-    # A rotation that turns gravity, in the camera's axes, to -y.
-    up = -gravity / np.linalg.norm(gravity)
-    side = np.cross(up, [0, 0, 1.0] if abs(up[2]) < 0.9 else [1.0, 0, 0])
-    side /= np.linalg.norm(side)
-    up_R_cam = np.stack([side, up, np.cross(side, up)])
-    ray = np.concatenate([ideal_M2, np.ones((count, 1))], axis=1) @ up_R_cam.T
-    rng = np.random.default_rng(seed)
-    first = rng.integers(0, count, trials)
-    second = (first + rng.integers(1, count, trials)) % count
-    rotation, translation = upright_poses(ray[first], ray[second], xyz_M3[first], xyz_M3[second])
-    if not len(rotation):
-        return None
-    cam_R_map = up_R_cam.T @ rotation
-    cam_t = translation @ up_R_cam
-    finalists = np.arange(len(cam_R_map))
-    if count > 2 * _SCORED:
-        # A part of the points says which poses are worth scoring with all.
-        part = rng.choice(count, _SCORED, replace=False)
-        cost = np.minimum(_squared(cam_R_map, cam_t, ideal_M2[part], xyz_M3[part]), max_error**2).sum(axis=1)
-        finalists = np.argsort(cost, kind="stable")[:_FINALISTS]
-    error = _squared(cam_R_map[finalists], cam_t[finalists], ideal_M2, xyz_M3)
-    winner = int(np.minimum(error, max_error**2).sum(axis=1).argmin())
-    best = int(finalists[winner])
-    return make_pose(cam_R_map[best].T, -cam_R_map[best].T @ cam_t[best]), error[winner] <= max_error**2
-
-
-def _squared(cam_R_map: Array, cam_t: Array, ideal_M2: Array, xyz_M3: Array) -> Array:
-    """Squared reprojection errors (S, M) at unit focal length of poses (S, 3, 3), (S, 3), infinite behind them."""
-    cam = (cam_R_map.reshape(-1, 3) @ xyz_M3.T).reshape(-1, 3, len(xyz_M3)) + cam_t[:, :, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error = (cam[:, 0] / cam[:, 2] - ideal_M2[:, 0]) ** 2 + (cam[:, 1] / cam[:, 2] - ideal_M2[:, 1]) ** 2
-    return np.asarray(np.where(cam[:, 2] > 0, error, np.inf))
-
-
-def upright_poses(ray_a: Array, ray_b: Array, xyz_a: Array, xyz_b: Array) -> tuple[Array, Array]:
-    """Poses (S, 3, 3), (S, 3) that take pairs of points (T, 3) onto rays (T, 3), all in frames with +y up; the
-    solutions of all pairs, up to two each, with both points on their rays' positive side.
-
-    A turn about y leaves heights and horizontal distances: a quadratic in the length along the first ray.
-    """
-    delta = xyz_b - xyz_a
-    # Lengths a, b along the rays: b ray_b.y - a ray_a.y = delta.y gives b = offset + slope * a.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        offset, slope = delta[:, 1] / ray_b[:, 1], ray_a[:, 1] / ray_b[:, 1]
-        flat_a, flat_b = ray_a[:, ::2], ray_b[:, ::2]
-        fixed, moving = flat_b * offset[:, None], flat_b * slope[:, None] - flat_a
-        square, half = np.sum(moving**2, axis=1), np.sum(moving * fixed, axis=1)
-        rest = np.sum(fixed**2, axis=1) - np.sum(delta[:, ::2] ** 2, axis=1)
-        root = np.sqrt(half**2 - square * rest)
-        along_a = np.stack([(-half + root) / square, (-half - root) / square], axis=1)
-        along_b = offset[:, None] + slope[:, None] * along_a
-    pair, which = np.nonzero((along_a > 0) & (along_b > 0) & np.isfinite(along_a) & np.isfinite(along_b))
-    a, b = along_a[pair, which][:, None], along_b[pair, which][:, None]
-    now, was = b * ray_b[pair] - a * ray_a[pair], delta[pair]
-    length = np.maximum(was[:, 0] ** 2 + was[:, 2] ** 2, 1e-12)
-    cosine = (now[:, 0] * was[:, 0] + now[:, 2] * was[:, 2]) / length
-    sine = (now[:, 0] * was[:, 2] - now[:, 2] * was[:, 0]) / length
-    rotation = np.zeros((len(pair), 3, 3))
-    rotation[:, 1, 1] = 1
-    rotation[:, 0, 0] = rotation[:, 2, 2] = cosine
-    rotation[:, 0, 2], rotation[:, 2, 0] = sine, -sine
-    return rotation, a * ray_a[pair] - np.einsum("sij,sj->si", rotation, xyz_a[pair])
 
 
 def refine(

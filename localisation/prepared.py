@@ -126,10 +126,10 @@ def match(training: Training, track: Track = untracked, kind: FeatureKind = SIFT
 
 
 def prepare(
-    scene: str, training: Training, settings: StructureSettings, kind: FeatureKind = SIFT, pairs: Ints | None = None
+    scene: str, training: Training, settings: StructureSettings, kind: FeatureKind = SIFT, track: Track = untracked
 ) -> Prepared:
-    """The training frames with their matches, the pairs that `match` gave where there are any yet, and points."""
-    pairs, rays = match(training, kind=kind) if pairs is None else pairs, training.rays()
+    """The training frames with their matches and points."""
+    pairs, rays = match(training, track, kind), training.rays()
     return Prepared(scene, training, settings, kind, rays, pairs, _points(rays, pairs))
 
 

@@ -12,7 +12,7 @@ from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.localisation.compact import CompactMap, bytes_by_section, point_covariances, read_map, write_map
 from groundwalk.localisation.frames import row_times, with_lens
-from groundwalk.localisation.pose import NO_VERTICAL, Fit, Observed, Priors, ransac, refine, upright_ransac
+from groundwalk.localisation.pose import NO_VERTICAL, Fit, Observed, Priors, ransac, refine
 from groundwalk.localisation.results import QueryResult, of_another_size, refused, seen_by
 from groundwalk.store.choices import Refusal
 
@@ -22,7 +22,7 @@ Floats = NDArray[np.float32]
 _PROBES, _VOTERS = 3, 400
 _VIEWS = 12
 _VOTE_RATIO, _RATIO = 0.9, 0.9
-_RANSAC_PX, _TRIALS, _UPRIGHT_TRIALS = 6.0, 2000, 400
+_RANSAC_PX, _TRIALS = 6.0, 2000
 # Shares of the features and of the image's side that an attempt takes. A query shows each point but once, where a
 # training frame needs only some of what others show, too: hence more features than of these.
 _NEAR_PRIOR, _WHOLE = (0.4, 0.5), (1.5, 1.0)
@@ -205,8 +205,6 @@ class _Query:
         """A pose and its inliers among matches (keypoint, point)."""
         ideal, xyz = self.ideal[matches[:, 0]], self.xyz[matches[:, 1]]
         max_error = _RANSAC_PX * _scale(self.camera) / self.camera.fx
-        if self.gravity is not None:
-            return upright_ransac(ideal, xyz, self.gravity, max_error, _UPRIGHT_TRIALS, seed)
         return ransac(ideal, xyz, max_error, _TRIALS, seed)
 
     def refined(self, map_T_cam: Array, matches: Ints, priors: Priors, iterations: int = _WELL) -> Fit:

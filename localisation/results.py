@@ -1,8 +1,6 @@
 """What a localiser says of an image: a pose with its evidence, or a refusal with its reason."""
 
-import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,6 @@ from numpy.typing import NDArray
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, tq_from_pose
 from groundwalk.store.choices import Refusal
-from groundwalk.store.files import written_aside
 
 Ints = NDArray[np.int64]
 
@@ -79,31 +76,3 @@ def row_of(answer: QueryResult) -> dict[str, Any]:
         row["covariance"] = None if answer.covariance is None else answer.covariance.ravel().tolist()
     counts = {"inliers": answer.inliers, "candidates": answer.candidates}
     return row | counts | {"refusal": answer.refusal, "reason": answer.reason or None}
-
-
-def write_result(path: Path, answer: QueryResult, cost_s: tuple[float, float]) -> None:
-    """Write an answer, and its seconds on the clock and of all cores, as a checkpoint."""
-    evidence = {name: getattr(answer, name) for name in ("refusal", "reason", "candidates", "inliers")}
-    with written_aside(path) as partial, partial.open("wb") as file:
-        np.savez(
-            file,
-            map_T_cam=np.empty(0) if answer.map_T_cam is None else answer.map_T_cam,
-            covariance=np.empty(0) if answer.covariance is None else answer.covariance,
-            px=answer.seen.px,
-            points=answer.seen.points,
-            inlier=answer.seen.inlier,
-            evidence=np.array(json.dumps(evidence)),
-            cost_s=np.array(cost_s),
-        )
-
-
-def read_result(path: Path) -> tuple[QueryResult, tuple[float, float]]:
-    """The answer and its seconds of a checkpoint."""
-    with np.load(path) as kept:
-        pose, covariance = (kept[name] if kept[name].size else None for name in ("map_T_cam", "covariance"))
-        seen = Seen(kept["px"], kept["points"], kept["inlier"])
-        wall_s, cpu_s = kept["cost_s"].tolist()
-        evidence = json.loads(str(kept["evidence"]))
-        refusal = evidence.pop("refusal")
-        answer = QueryResult(pose, covariance, refusal and Refusal(refusal), **evidence, seen=seen)
-        return answer, (wall_s, cpu_s)

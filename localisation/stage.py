@@ -5,6 +5,7 @@ import platform
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,16 +15,15 @@ from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.inputs import read_inputs, training_of
 from groundwalk.localisation.localisers import LOCALISERS, FeatureKind, Localiser
-from groundwalk.localisation.prepared import MIN_POINTS, Prepared, match, prepare
+from groundwalk.localisation.prepared import MIN_POINTS, Prepared, prepare
 from groundwalk.localisation.record import blueprint, record
-from groundwalk.localisation.results import QueryResult, read_result, write_result
+from groundwalk.localisation.results import QueryResult
 from groundwalk.localisation.settings import LocaliseSettings
 from groundwalk.scoring.errors import position_error, rotation_error_deg, sure_enough
 from groundwalk.scoring.scores import score
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.cores import usable_cores
-from groundwalk.store.files import written_aside
 from groundwalk.store.hints import setting_of
 from groundwalk.store.images import read_grey_image
 from groundwalk.store.parallel import in_parallel, one_thread
@@ -89,16 +89,16 @@ def prepare_training(r: StageRun[LocaliseSettings], kind: FeatureKind) -> Prepar
             do="check the scene's split rules, and what align says about its ground truth; or leave structure "
             f"localisers out: {_NO_LOCALISERS}",
         )
-    training = training_of(inputs, rows, features_of(r, inputs.frames["image"].iloc[rows], kind))
-    file = r.scratch / f"matches-{kind.id}.npy"
-    with r.step("match"):
-        if not file.exists():
-            pairs = match(training, r.track, kind)
-            with written_aside(file) as partial, partial.open("wb") as begun:
-                np.save(begun, pairs)
-        pairs = np.load(file)
+    paths = [r.image_path(image) for image in inputs.frames["image"].iloc[rows]]
+
+    def extracted(path: Path) -> Features:
+        return kind.extract(read_grey_image(path), r.settings.max_features, r.settings.max_side)
+
+    with r.step("features"):
+        features = in_parallel(extracted, r.track(paths, "reading training frames", len(paths)))
+        training = training_of(inputs, rows, list(features))
     with r.step("points"):
-        prepared = prepare(r.scene.name, training, r.settings, kind, pairs)
+        prepared = prepare(r.scene.name, training, r.settings, kind, r.track)
     points = len(prepared.points.xyz)
     r.figure(f"{kind.id} points", points)
     r.say(f"{points} points of {kind.id} features, seen by {len(rows)} training frames")
@@ -110,25 +110,6 @@ def prepare_training(r: StageRun[LocaliseSettings], kind: FeatureKind) -> Prepar
             do=f"capture with more overlap and texture; or leave structure localisers out: {_NO_LOCALISERS}",
         )
     return prepared
-
-
-def features_of(r: StageRun[LocaliseSettings], images: "pd.Series[str]", kind: FeatureKind) -> list[Features]:
-    """The features of the training images; those that a run before extracted are read."""
-    folder = r.scratch / f"features-{kind.id}"
-    folder.mkdir(exist_ok=True)
-
-    def kept(item: tuple[int, str]) -> Features:
-        file = folder / f"{item[0]}.npz"
-        if not file.exists():
-            grey_image = read_grey_image(r.image_path(item[1]))
-            found = kind.extract(grey_image, r.settings.max_features, r.settings.max_side)
-            with written_aside(file) as partial, partial.open("wb") as begun:
-                np.savez(begun, px=found.px, size_px=found.size_px, descriptors=found.descriptors)
-        with np.load(file) as found:
-            return Features(found["px"], found["size_px"], found["descriptors"])
-
-    with r.step("features"):
-        return list(in_parallel(kept, r.track(list(enumerate(images)), "reading training frames", len(images))))
 
 
 def run_localiser(r: StageRun[LocaliseSettings], name: str, prepared: Prepared, queries: pd.DataFrame) -> LocaliserRun:
@@ -169,25 +150,17 @@ def run_localiser(r: StageRun[LocaliseSettings], name: str, prepared: Prepared, 
 def ask_all(
     r: StageRun[LocaliseSettings], name: str, localiser: Localiser, queries: pd.DataFrame
 ) -> tuple[list[QueryResult], Array]:
-    """What a localiser says of each query, and what that cost (Q, 2), s: on the clock and of all cores. Results of a
-    run before are read."""
-    folder = r.scratch / name
-    folder.mkdir(exist_ok=True)
+    """What a localiser says of each query, and what that cost (Q, 2), s: on the clock and of all cores."""
     gravity = queries[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
     results: list[QueryResult] = []
     costs: list[tuple[float, float]] = []
     with r.step(f"localise {name}"):
         for row in r.track(range(len(queries)), f"{name}: localising", len(queries)):
-            file = folder / f"{row}.npz"
-            if not file.exists():
-                down = gravity[row] if np.isfinite(gravity[row]).all() else None
-                image, camera = read_grey_image(r.image_path(queries["image"].iloc[row])), camera_of(queries.iloc[row])
-                wall, cpu = time.perf_counter(), time.process_time()
-                result = localiser.localise(image, camera, down, seed=r.seed)
-                write_result(file, result, (time.perf_counter() - wall, time.process_time() - cpu))
-            result, cost = read_result(file)
-            results.append(result)
-            costs.append(cost)
+            down = gravity[row] if np.isfinite(gravity[row]).all() else None
+            image, camera = read_grey_image(r.image_path(queries["image"].iloc[row])), camera_of(queries.iloc[row])
+            wall, cpu = time.perf_counter(), time.process_time()
+            results.append(localiser.localise(image, camera, down, seed=r.seed))
+            costs.append((time.perf_counter() - wall, time.process_time() - cpu))
     return results, np.array(costs).reshape(-1, 2)
 
 

@@ -15,7 +15,7 @@ class ReportSettings(Settings):
 
 STAGE = Stage(
     name="report",
-    version=20,
+    version=21,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import",),

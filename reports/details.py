@@ -14,7 +14,7 @@ from groundwalk.reports.grids import EMPTY, Grid, plain_grid
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.run_checks import AGREES
 from groundwalk.reports.statistics import by_walk
-from groundwalk.reports.verdict import Problem, Verdict
+from groundwalk.reports.verdict import Problem, Verdict, usual_drift
 from groundwalk.scoring.errors import SURE_CLASSES
 from groundwalk.store.choices import MapUnit, Rejected
 from groundwalk.store.progress import format_seconds
@@ -30,6 +30,37 @@ def _range(values: pd.Series) -> str:
     """The least and the largest of some figures."""
     known = values.dropna()
     return " to ".join(dict.fromkeys(f"{v:.3g}" for v in (known.min(), known.max()))) if len(known) else EMPTY
+
+
+def overview(scene: SceneInputs, verdict: Verdict, found: list[LocaliserErrors]) -> list[str]:
+    """The scene's row of the table that a page of several scenes begins with; `OVERVIEW` names its cells."""
+    unit, per = small_unit(scene.unit)
+    trusted = verdict.trusted
+    share = f"{100 * len(trusted) / max(len(verdict.frames), 1):.0f}" if "align" in scene.stages else EMPTY
+    sigma = per * trusted["position_sd"].median()
+    d = usual_drift(scene)
+    drift = f"{d['median_percent']:.2g} over {d['distance_m']:g} m" if d else EMPTY
+    # The one that is nearest to the truth by itself, so that both cells are about the same model.
+    alone = [row for row in found if not row.is_structure and not row.is_fused and row.position != EMPTY]
+    best = min(alone, key=lambda row: float(row.position), default=None)
+    fused = next((row for row in found if best and row.model == best.model and row.is_fused), None)
+    errors = [
+        f"{row.name.removesuffix(', alone')}: {row.position} {scene.unit.symbol}, {row.rotation}°" if row else EMPTY
+        for row in (best, fused)
+    ]
+    kind, half = "simulated" if scene.simulated else "real", f"{_figure(sigma)} {unit}" if sigma == sigma else EMPTY
+    return [kind, str(verdict.state), share, half, drift, *errors]
+
+
+OVERVIEW = (
+    "captures",
+    "ground truth",
+    "trusted frames (%)",
+    "sigma, median",
+    "VIO drift (%)",
+    "best regressor, alone",
+    "the same, fused",
+)
 
 
 def headline(scene: SceneInputs, found: list[LocaliserErrors]) -> Grid | None:
@@ -273,14 +304,14 @@ def localisers(scene: SceneInputs) -> Grid | None:
     return plain_grid(key, "Structure localisers", caption, f"{heads} | test frames refused", rows, 2)
 
 
-def checks(findings: pd.DataFrame, source: str) -> Grid | None:
-    """The findings about one source's tables that don't agree."""
+def checks(findings: pd.DataFrame) -> Grid | None:
+    """The findings that don't agree."""
     rows = [
         [f.check, f.table, f.scene, f.subset, f.column, f.expected, f.printed, f.status, f.because]
-        for f in _records(findings[(findings["source"] == source) & (findings["status"] != AGREES)])
+        for f in _records(findings[findings["status"] != AGREES])
     ]
     heads = "rule | table | scene | subset | column | by the rule | printed | status | why"
-    return plain_grid(f"checks-{source}", "What doesn't agree", "Rules: docs/explanation/reports.md.", heads, rows, 9)
+    return plain_grid("checks-ours", "What doesn't agree", "Rules: docs/explanation/reports.md.", heads, rows, 9)
 
 
 def provenance(scene: SceneInputs) -> Grid | None:

@@ -11,10 +11,10 @@ from groundwalk.geometry.rows import evenly
 from groundwalk.reports import details
 from groundwalk.reports.cells import LocaliserErrors
 from groundwalk.reports.figures import Picture
-from groundwalk.reports.grids import OURS, Grid, html_table
+from groundwalk.reports.grids import Grid, html_table
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.templating import from_template
-from groundwalk.reports.verdict import State, Verdict, drift_by_distance
+from groundwalk.reports.verdict import State, Verdict, usual_drift
 from groundwalk.reports.walk_map import data_address, draw, frame_data, thumbnail
 from groundwalk.store.choices import QualityClass
 from groundwalk.store.tables import scale_warning
@@ -74,8 +74,7 @@ def facts(scene: SceneInputs, verdict: Verdict) -> list[tuple[str, str, str]]:
     upright = "vertical unknown" if vertical is None else f"vertical ± {vertical:.2g}°"
     known_scale = "unknown" if scale is None else f"± {100 * scale:.2g} %"
     shown.append((known_scale, "metric scale", f"from {source}; {upright}"))
-    if drifts := drift_by_distance(scene):
-        d = min(drifts, key=lambda row: abs(row["distance_m"] - 5))
+    if d := usual_drift(scene):
         jumps = f"{len(scene.jumps)} VIO jump{'s' if len(scene.jumps) != 1 else ''}"
         more = f"median; 95th percentile {d['p95_percent']:.2g} %; {jumps}"
         shown.append((f"{d['median_percent']:.2g} %", f"VIO drift over {d['distance_m']:g} m", more))
@@ -157,6 +156,8 @@ def render(
         fuses=any(scene.fuses for scene in scenes),
         meaningless={scene.name: why for scene in scenes if (why := scene.why_meaningless())},
         tables={grid.key: html_table(grid) for grid in grids},
+        overview_heads=details.OVERVIEW,
+        overview=[details.overview(s.scene, s.verdict, s.localiser_errors) for s in sections],
         checks=len(findings),
-        disagreeing=html_table(details.checks(findings, OURS)),
+        disagreeing=html_table(details.checks(findings)),
     )

@@ -1,10 +1,11 @@
 """Is this run what its numbers are taken for? Checks on the artefacts that the tables are made from."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import pandas as pd
 
+from groundwalk.reports.grids import OURS
 from groundwalk.reports.inputs import LEAK_S, MAX_NEAR_COPIES, SceneInputs
 from groundwalk.store.choices import MapUnit
 
@@ -12,8 +13,7 @@ AGREES, DISAGREES, CAUTION = "agrees", "disagrees", "caution"
 WRONG_M, WRONG_DEG = 1.0, 5.0
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(NamedTuple):
     """One thing that was checked: where, what it should be by the rule, what is printed, and the status."""
 
     check: str
@@ -27,11 +27,9 @@ class Finding:
     because: str
 
 
-def as_table(findings: list[Finding], source: str) -> pd.DataFrame:
+def as_table(findings: list[Finding]) -> pd.DataFrame:
     """Findings as rows of report.checks."""
-    frame = pd.DataFrame([asdict(f) for f in findings], columns=list(Finding.__dataclass_fields__))
-    frame.insert(0, "source", source)
-    return frame
+    return pd.DataFrame(findings, columns=list(Finding._fields)).assign(source=OURS)
 
 
 def run_findings(scene: SceneInputs) -> Iterator[Finding]:

@@ -7,7 +7,7 @@ import pandas as pd
 from groundwalk.reports import cells, page
 from groundwalk.reports.definition import ReportSettings
 from groundwalk.reports.figures import scene_figures
-from groundwalk.reports.grids import OURS, Grid, html_table, latex, markdown
+from groundwalk.reports.grids import Grid, html_table, latex, markdown
 from groundwalk.reports.inputs import SceneInputs, read_scene
 from groundwalk.reports.published import load_published
 from groundwalk.reports.run_checks import AGREES, as_table, run_findings
@@ -23,14 +23,14 @@ from groundwalk.store.tables import scale_warning
 def run(r: StageRun[ReportSettings]) -> None:
     scenes = [read_scene(r, leaf) for leaf in r.leaves]
     grids: list[Grid] = []
-    all_cells, findings = schema("report", "cells").arrow().empty_table().to_pandas(), as_table([], OURS)
+    all_cells, findings = schema("report", "cells").arrow().empty_table().to_pandas(), as_table([])
     if all("fuse" in scene.stages for scene in scenes):
         with r.step("tables"):
             parts = [cells.our_cells(scenes)]
             if r.settings.published:
                 parts.append(cells.published_cells(load_published(r.data.files("published")), scenes))
             all_cells = pd.concat([part for part in parts if len(part)], ignore_index=True)
-            findings = as_table([finding for scene in scenes for finding in run_findings(scene)], OURS)
+            findings = as_table([finding for scene in scenes for finding in run_findings(scene)])
             grids = Tables(all_cells, scenes).all()
             (r.work / "tables").mkdir(exist_ok=True)
             for grid in grids:

@@ -281,6 +281,11 @@ def drift_by_distance(scene: SceneInputs) -> list[dict[str, float]]:
     return rows.sort_values("interval")[list(names)].rename(columns=names).to_dict("records")  # type: ignore[return-value]
 
 
+def usual_drift(scene: SceneInputs) -> dict[str, float] | None:
+    """The row of `drift_by_distance` that a first look shows: over about 5 m."""
+    return min(drift_by_distance(scene), key=lambda row: abs(row["distance_m"] - 5), default=None)
+
+
 def as_json(scene: SceneInputs, verdict: Verdict, localisers: list[LocaliserErrors]) -> dict[str, Any]:
     """The content of verdict.json: the headline, every localiser as the page's first screen has it, and every frame."""
     figures = scene.manifests["align"]["figures"] if "align" in scene.stages else {}

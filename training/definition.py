@@ -7,7 +7,7 @@ from groundwalk.training.settings import TrainSettings
 
 STAGE = Stage(
     name="train",
-    version=17,
+    version=18,
     settings=TrainSettings,
     needs=("import", "align"),
     run=Lazy("groundwalk.training.stage:run"),

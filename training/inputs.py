@@ -74,14 +74,11 @@ def check_trainable(frames: pd.DataFrame, where: Path) -> None:
             )
 
 
-def focal_in_short_sides(frames: pd.DataFrame) -> NDArray[np.float64]:
-    """Each frame's focal length over the shorter side of its image, (N,)."""
-    return frames[["fx", "fy"]].to_numpy(float).mean(axis=1) / frames[["width", "height"]].to_numpy(float).min(axis=1)
-
-
 def virtual_focal(frames: pd.DataFrame) -> float:
     """The focal length of the virtual pinhole of all frames, in shorter sides: the median of those trained on."""
-    return float(np.median(focal_in_short_sides(frames)[rows_with_truth(frames, "train")]))
+    of_training = frames.iloc[rows_with_truth(frames, "train")]
+    sides = of_training[["width", "height"]].to_numpy(float).min(axis=1)
+    return float(np.median(of_training[["fx", "fy"]].to_numpy(float).mean(axis=1) / sides))
 
 
 def small_images(

@@ -1,4 +1,4 @@
-"""The train stage's recording: learning curves, and where each model places the frames."""
+"""The train stage's recording: where each model places the frames."""
 
 from collections.abc import Mapping
 
@@ -15,16 +15,13 @@ from groundwalk.store.registry import Colour
 from groundwalk.store.tables import poses_of
 from groundwalk.training.data import ImageCache
 
-EPOCHS = "epoch"
 FRAMES = "frame"  # sessions one after the other, however far apart their clocks
-_CURVES = ("train_loss", "val_position_m", "val_rotation_deg")
 _MAX_IMAGES = 500  # keeps the file small; cameras and errors of all frames are there
 _JPEG_QUALITY = 80
 
 
-def blueprint(scenes: list[str], models: list[str], trained: list[str]) -> rrb.Blueprint:
-    """A tab a scene with each model's places, the image and the errors over time; a tab with the learning curves of
-    those that were trained."""
+def blueprint(scenes: list[str], models: list[str]) -> rrb.Blueprint:
+    """A tab a scene with each model's places, the image and the errors over time."""
     tabs: list[rrb.Container] = []
     for scene in scenes:
         places = [
@@ -48,15 +45,8 @@ def blueprint(scenes: list[str], models: list[str], trained: list[str]) -> rrb.B
                 name=scene,
             )
         )
-    curves = [
-        rrb.Horizontal(
-            *(rrb.TimeSeriesView(origin=f"/learning/{model}/{name}", name=f"{model}: {name}") for name in _CURVES)
-        )
-        for model in trained
-    ]
-    learning = [rrb.Vertical(*curves, name="learning")] if curves else []
     return rrb.Blueprint(
-        rrb.Tabs(*tabs, *learning),
+        rrb.Tabs(*tabs),
         rrb.TimePanel(timeline=FRAMES, state="collapsed"),
         collapse_panels=True,
     )
@@ -66,13 +56,11 @@ def record(
     stream: rr.RecordingStream,
     frames: pd.DataFrame,
     predictions: pd.DataFrame,
-    history: pd.DataFrame,
     cache: ImageCache,
     crop: int,
     shades: Mapping[str, Colour],
 ) -> None:
     """Log everything; row i of `frames` has its image in cache[i]. `shades` are the models' colours."""
-    _log_learning(stream, history, shades)
     map_T_cam = poses_of(frames, "map_cam")
     keys = ["scene", "frame_id"]
     estimates = {
@@ -110,15 +98,6 @@ def record(
             both = both[(frames["split"].to_numpy()[rows] == "test") & np.isfinite(both).all(axis=(1, 2))]
             lines = rr.LineStrips3D(both, colors=shades[model], radii=rr.Radius.ui_points(0.5))
             stream.log(f"/{scene}/{model}/test_errors", lines, static=True)
-
-
-def _log_learning(stream: rr.RecordingStream, history: pd.DataFrame, shades: Mapping[str, Colour]) -> None:
-    for model, mine in history.groupby("model", sort=False):
-        times = rr.TimeColumn(EPOCHS, sequence=mine["epoch"].to_numpy())
-        for name in _CURVES:
-            path = f"/learning/{model}/{name}"
-            stream.log(path, rr.SeriesLines(colors=shades[str(model)], names=f"{model} {name}"), static=True)
-            stream.send_columns(path, indexes=[times], columns=rr.Scalars.columns(scalars=mine[name].to_numpy()))
 
 
 def _log_errors(stream: rr.RecordingStream, at: str, model: str, true: np.ndarray, estimate: np.ndarray) -> None:

@@ -25,7 +25,6 @@ from groundwalk.training.imported import imported_card, read_imported
 from groundwalk.training.inputs import (
     as_training_frames,
     check_trainable,
-    focal_in_short_sides,
     read_frames,
     rows_with_truth,
     small_images,
@@ -42,7 +41,6 @@ from groundwalk.training.sources import Run
 from groundwalk.training.steps import WORDS, Precision
 
 _FIRST = "first.pt"
-_NARROW = 1.1
 _TOO_LITTLE = (
     f"too little memory needs a smaller {setting_of('train', 'crop')}, or batch in [train.regressors.<model>] there"
 )
@@ -150,17 +148,11 @@ def models_of(r: StageRun[TrainSettings]) -> list[str]:
 
 
 def choose_camera(r: StageRun[TrainSettings], frames: pd.DataFrame) -> float | None:
-    """The virtual pinhole's focal length in shorter sides, None for images as captured; says what it can't fill."""
+    """The virtual pinhole's focal length in shorter sides, None for images as captured."""
     if not r.settings.undistort:
         return None
     focal = virtual_focal(frames)
     r.figure("virtual focal length in shorter image sides", focal)
-    narrow = int((focal_in_short_sides(frames) > _NARROW * focal).sum())
-    if narrow:
-        r.say(
-            f"{narrow} of {len(frames)} images have focal lengths over {_NARROW:g} times the virtual camera's, so they "
-            "don't fill its image: their borders are repeated"
-        )
     return focal
 
 
@@ -355,7 +347,6 @@ def write_results(r: StageRun[TrainSettings], frames: pd.DataFrame, cache: Image
     r.write("history", history.reindex(columns=columns))
     r.write("models", pd.DataFrame([result.card for result in results]))
     names = [result.card["model"] for result in results]
-    trained = [result.card["model"] for result in results if len(result.history)]
     shades = colours.localiser_colours(names) | {name: REGRESSORS[name].colour for name in names if name in REGRESSORS}
-    with r.step("recording"), r.recording(blueprint(r.leaves, names, trained)) as stream:
-        record(stream, frames, predictions, history, cache, r.settings.crop, shades)
+    with r.step("recording"), r.recording(blueprint(r.leaves, names)) as stream:
+        record(stream, frames, predictions, cache, r.settings.crop, shades)

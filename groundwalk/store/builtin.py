@@ -75,7 +75,4 @@ BUILTIN: dict[str, dict[str, str]] = {
         "kapture": "groundwalk.export.entries:KAPTURE",
         "huggingface": "groundwalk.export.entries:HUGGINGFACE",
     },
-    "groundwalk.model_exporters": {
-        "phone": "groundwalk.export.entries:PHONE",
-    },
 }

@@ -232,7 +232,7 @@ def test_the_command_says_what_is_wrong(
         ((image, "--map", map_file, "--intrinsics", "300"), "--intrinsics has something else than numbers"),
         ((image, "--map", map_file, *known, "--gravity", "a,b,c"), "--gravity has something else than numbers"),
         ((image, "--map", map_file, *known, "--scene", "Church"), "a map is of another scene"),
-        ((image, "--map", tmp_path / "cut.gwm", *known), "a map is cut short"),
+        ((image, "--map", tmp_path / "cut.gwm", *known), "a map can't be read"),
         ((image, "--map", tmp_path / "none.gwm", *known), "there is no such map"),
         ((image, "--map", tmp_path / "map.bin", *known), "this isn't a map's file"),
         ((tmp_path / "empty", "--map", map_file, *known), "there are no images to localise"),

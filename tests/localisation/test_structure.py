@@ -12,7 +12,7 @@ from groundwalk.geometry.poses import inverse
 from groundwalk.localisation.build import covering_points
 from groundwalk.localisation.frames import rays_of
 from groundwalk.localisation.localisers import StructureSettings
-from groundwalk.localisation.matching import covisible_pairs, mutual_matches
+from groundwalk.localisation.matching import covisible_pairs
 from groundwalk.localisation.prepared import prepare
 from groundwalk.localisation.tracks import Rays, epipolar_error_px, tracks, triangulate
 from tests.localisation.scenes import HIGH, SEEN_BY, place, projected, training, walk
@@ -61,13 +61,6 @@ def test_a_wrong_observation_is_left_out_and_a_lonely_point_dropped() -> None:
     np.testing.assert_allclose(points.xyz, xyz[[point]], atol=1e-6)
     two = triangulate(every, np.zeros(2, np.int64), np.array([1, 2]), 2.0, 0.1)
     assert len(two.xyz) == 0 and len(two.point) == 0
-
-
-def test_matches_are_mutual_and_pass_the_ratio() -> None:
-    a = np.eye(4, dtype=np.float32)
-    b = np.concatenate([a[:3], a[2:3]])  # the last two look the same
-    assert mutual_matches(a, b, 0.9).tolist() == [[0, 0], [1, 1]]
-    assert len(mutual_matches(a[:1], b, 0.9)) == 0
 
 
 def test_pairs_are_of_frames_that_see_the_same() -> None:

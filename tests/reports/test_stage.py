@@ -20,6 +20,7 @@ from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PUBLISHED, load_published
 from groundwalk.reports.run_checks import AGREES
 from groundwalk.store import UserError
+from groundwalk.store.files import read_json
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.stage import execute
@@ -243,36 +244,26 @@ def test_errors_by_walk_or_by_appearance(appearances: tuple[str, str], make_run:
     assert f"simulated, test walks {light}, tiny profile" in (folder / "tables" / "table1.md").read_text()
 
 
-def test_the_page_counts_images_left_out_by_reason(church: tuple[DataRoot, Path]) -> None:
-    assert rows_of(church[1], "rejects-Church") == [
+def test_the_pages_tables_have_what_the_stages_found(church: tuple[DataRoot, Path]) -> None:
+    folder = church[1]
+    assert rows_of(folder, "rejects-Church") == [
         ["depth image is broken; its image is used without", "0", "1", "0"],
         ["image is broken: truncated after … bytes", "2", "0", "0"],
         ["no number", "0", "0", "1"],
         ["not tracking", "0", "0", "1"],
     ]
-    assert [row[-1] for row in rows_of(church[1], "sessions-Church")] == ["2", "0", "0", "0"]
-
-
-def test_the_page_shows_how_far_surveyed_points_are_off(church: tuple[DataRoot, Path]) -> None:
+    assert [row[-1] for row in rows_of(folder, "sessions-Church")] == ["2", "0", "0", "0"]
     figures = ["12 of 13", "12", "6.4", "8.4", "15.0", "92", "+0.07 ± 0.01", "0.03 ± 0.16"]
-    assert rows_of(church[1], "control-Church") == [["total station", *figures, "passed"]]
-
-
-def test_the_page_shows_what_a_user_sees(church: tuple[DataRoot, Path]) -> None:
-    rows = rows_of(church[1], "users-Church")
+    assert rows_of(folder, "control-Church") == [["total station", *figures, "passed"]]
+    rows = rows_of(folder, "users-Church")
     assert ["PN", "raw", "never", "a whole walk", "0.125", "0.750", "–"] in rows
     assert ["PN", "paper_rule", "3.0", "4.2", "0.125", "0.750", "never"] in rows
     assert rows[-1] == ["MS-T", "smoother (offline)", "3.0", "4.2", "0.125", "0.750", "–"]
-
-
-def test_checks_that_are_undecided_are_not_counted_as_failed(church: tuple[DataRoot, Path]) -> None:
-    rows = rows_of(church[1], "consistency-Church")
+    # What is undecided isn't counted as failed.
+    rows = rows_of(folder, "consistency-Church")
     assert ["window_position", "failed: pose in SfM inconsistent with VIO", "m", *"210", "0.01 to 0.3", "0.1"] in rows
     assert ["ruler_scale", "undecided: board: seen once", "m", *"101", "–", "0.03"] in rows
-
-
-def test_a_run_is_what_its_numbers_are_taken_for(church: tuple[DataRoot, Path]) -> None:
-    checks = read_table(church[1] / "checks.parquet", schema("report", "checks"))
+    checks = read_table(folder / "checks.parquet", schema("report", "checks"))
     assert {"all_scored", "ground_truth_without_vio", "no_leak"} == set(checks["check"])
     assert set(checks["status"]) == {AGREES}, checks.to_string()
 
@@ -301,6 +292,25 @@ def test_a_group_has_all_members_and_their_average(pair: tuple[DataRoot, Path]) 
     # The paper's average is over other scenes, so it doesn't stand beside ours.
     assert "average" not in set(cells_of(folder, source="published")["scene"])
     assert "average" in (folder / "tables" / "table2.md").read_text()
+
+
+def test_a_page_of_several_scenes_begins_with_a_row_of_each(pair: tuple[DataRoot, Path], church: Any) -> None:
+    data, folder = pair
+    page = page_of(folder)
+    assert page.index('id="overview"') < page.index('id="verdict"') and 'id="overview"' not in page_of(church[1])
+    rows = rows_of(folder, "overview")
+    assert len(rows) == 2
+    for scene, row in zip(("Square", "Hall"), rows, strict=True):
+        assert row[0] == f'<a href="#scene-{scene}">{scene}</a>' and page.count(f'id="scene-{scene}"') == 1
+        truth = table_of(data, scene, "align", "ground_truth")["quality"]
+        verdict = read_json(folder / f"verdict-{scene}.json")
+        trusted = f"{100 * (truth == 'A').mean():.0f}"
+        assert row[1:6] == ["simulated", verdict["verdict"], trusted, "0.5 cm", "0.99 over 5 m"]
+        ways = {(way["fused"], way["model"]): way for way in verdict["localisers"]}
+        best = min((way for way in ways.values() if not way["fused"]), key=lambda way: way["median_position"])
+        for text, way in zip(row[6:], (best, ways[True, best["model"]]), strict=True):
+            position, rotation = f"{way['median_position']:.2f} m", f"{way['median_rotation_deg']:.2f}°"
+            assert text == f"{way['localiser'].removesuffix(', alone')}: {position}, {rotation}"
 
 
 def test_a_groups_own_models_replace_its_members(pair: tuple[DataRoot, Path]) -> None:

@@ -48,17 +48,6 @@ def test_a_file_is_as_many_regressors_as_it_names(make_scene: MakeScene) -> None
     assert (folder / "recording.rrd").is_file() and not len(pd.read_parquet(folder / "history.parquet"))
 
 
-def test_other_content_makes_other_artefacts(make_scene: MakeScene, capsys: pytest.CaptureFixture[str]) -> None:
-    data = make_scene()
-    written(data)
-    run(data)
-    capsys.readouterr()
-    run(data)
-    assert "up to date" in capsys.readouterr().err
-    written(data, map_cam_tx=1.0)
-    assert pd.read_parquet(run(data) / "predictions.parquet")["map_cam_tx"].eq(1.0).all()
-
-
 def test_rows_that_cannot_be_used_are_counted(make_scene: MakeScene, capsys: pytest.CaptureFixture[str]) -> None:
     data = make_scene()
     rows = written(data)
@@ -97,16 +86,10 @@ def test_what_a_file_can_get_wrong_is_said(
     spoil(written(data)).to_parquet(data / "mine.parquet")
     with pytest.raises(UserError, match=message):
         run(data)
-    assert not (data / "runs/tiny/Wall/train").exists()
-
-
-def test_a_file_that_is_not_there_or_no_table(make_scene: MakeScene) -> None:
-    data = make_scene()
-    with pytest.raises(UserError, match=r"can't be read[\s\S]*mine\.parquet"):
-        run(data)
     (data / "mine.parquet").write_text("model,frame_id\n")
     with pytest.raises(UserError, match="expected: a Parquet table"):
         run(data)
+    assert not (data / "runs/tiny/Wall/train").exists()
 
 
 def test_names_must_differ(make_scene: MakeScene) -> None:
@@ -120,7 +103,7 @@ def test_names_must_differ(make_scene: MakeScene) -> None:
         run(data, 'models=["PN"]')
 
 
-def test_a_section_with_a_wrong_key_names_itself(make_scene: MakeScene) -> None:
+def test_what_settings_can_get_wrong_is_said(make_scene: MakeScene) -> None:
     data = make_scene()
     message = r"setting 'epoch'[\s\S]*\[train\.regressors\.PN\][\s\S]*one of epochs, batch"
     with pytest.raises(UserError, match=message):
@@ -129,8 +112,7 @@ def test_a_section_with_a_wrong_key_names_itself(make_scene: MakeScene) -> None:
         run(data, "regressors.XY.epochs=1")
     with pytest.raises(UserError, match="PN is 3, not a section"):
         run(data, "regressors.PN=3")
-
-
-def test_nothing_to_predict_with(make_scene: MakeScene) -> None:
+    with pytest.raises(UserError, match=r"can't be read[\s\S]*mine\.parquet"):
+        run(data)
     with pytest.raises(UserError, match="neither models nor predictions"):
-        execute(STAGE, "Wall", "tiny", DataRoot(make_scene()), ["models=[]"])
+        run(data, "predictions=[]")

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from groundwalk.store import UserError
-from groundwalk.training import loop, sources
+from groundwalk.training import loop
 from groundwalk.training.data import Frames, ImageCache, View
 from groundwalk.training.evaluation import mean_pose_errors, pose_errors
 from groundwalk.training.loop import epoch_batches, held_out_score, learning_rate, take_best, train
@@ -118,16 +118,6 @@ def test_a_resumed_run_ends_in_the_same_weights(tmp_path: Path, monkeypatch: pyt
     settings = PoseNetSettings(epochs=5, batch=4, learning_rate=1e-2, recipe="few_images")
     run = Run("test", settings, CPU, "fp32", View(32, 32), 7, tmp_path)
     check_resumed(monkeypatch, tmp_path, random_frames(tmp_path / "images", 10), SmallRegressor, run)
-
-
-def test_a_lucky_first_epoch_is_not_the_best(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    frames = random_frames(tmp_path / "images", 4)
-    errors = iter([1.0, 9, 8, 7, 6, 5, 4])
-    monkeypatch.setattr(sources, "pose_errors", lambda *_: (np.array([error := next(errors)]), np.array([error])))
-    model = SmallRegressor()
-    settings = PoseNetSettings(epochs=7, batch=4)
-    train(silent, model, frames, frames, Run("test", settings, CPU, "fp32", View(32, 32), 0, tmp_path))
-    assert [row["epoch"] for row in take_best(model, tmp_path) if row["selected"]] == [5]
 
 
 def test_a_diverging_run_says_so(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 import torch
 from torch import Tensor, nn
 
-from groundwalk.training.models.attention import attention
 from groundwalk.training.models.efficientnet import REDUCTION_8_CHANNELS, REDUCTION_16_CHANNELS, EfficientNetB0
 from groundwalk.training.models.regressor import BackboneRegressor
 from groundwalk.training.poses import PoseBatch
@@ -28,27 +27,7 @@ class Attention(nn.MultiheadAttention):
         super().__init__(WIDTH, HEADS, dropout=dropout, batch_first=True)
 
     def attend(self, query: Tensor, key: Tensor, value: Tensor) -> Tensor:
-        if not self.training or self.dropout == 0 or query.device.type != "cpu":
-            return self(query, key, value, need_weights=False)[0]
-        # The same, but faster.
-        parts = zip((query, key, value), self.in_proj_weight.chunk(3), self.in_proj_bias.chunk(3), strict=True)
-        q, k, v = (nn.functional.linear(x, *w).unflatten(-1, (HEADS, -1)).transpose(1, 2) for x, *w in parts)
-        return self.out_proj(attention(q, k, v, self.dropout).transpose(1, 2).flatten(2))
-
-    def attend_from_few(self, query: Tensor, key: Tensor, value: Tensor) -> Tensor:
-        """The same for queries (B, S, 256) so few that it is less work to bring them to the keys' and values' space
-        than each key and value to the heads'. A bias of the keys changes no weight, as it moves all scores alike."""
-        if query.shape[1] * HEADS >= WIDTH:
-            return self.attend(query, key, value)
-        (to_q, to_k, to_v), (of_q, _, of_v) = self.in_proj_weight.chunk(3), self.in_proj_bias.chunk(3)
-        q = nn.functional.linear(query, to_q, of_q).unflatten(-1, (HEADS, -1)) * self.head_dim**-0.5
-        q = torch.einsum("bshd,hdc->bshc", q, to_k.unflatten(0, (HEADS, -1)))
-        weights = (q.flatten(1, 2) @ key.transpose(1, 2)).softmax(-1)
-        weights = nn.functional.dropout(weights, self.dropout, self.training)
-        sums = weights.sum(-1).view(*query.shape[:2], HEADS, 1)
-        attended = (weights.to(value.dtype) @ value).view(*query.shape[:2], HEADS, -1)
-        attended = torch.einsum("bshc,hdc->bshd", attended, to_v.unflatten(0, (HEADS, -1)))
-        return self.out_proj((attended + sums * of_v.unflatten(0, (HEADS, -1))).flatten(2))
+        return self(query, key, value, need_weights=False)[0]
 
 
 class EncoderLayer(nn.Module):
@@ -81,7 +60,7 @@ class DecoderLayer(nn.Module):
         x = self.norm1(scenes)
         scenes = scenes + self.dropout(self.self_attention.attend(x + query, x + query, x))
         x = self.norm2(scenes) + query
-        scenes = scenes + self.dropout(self.cross_attention.attend_from_few(x, cells + place, cells))
+        scenes = scenes + self.dropout(self.cross_attention.attend(x, cells + place, cells))
         return scenes + self.dropout(self.feed_forward(self.norm3(scenes)))
 
 

@@ -18,7 +18,7 @@ from groundwalk.training.loop import take_best, train
 from groundwalk.training.models import efficientnet_lite
 from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
 from groundwalk.training.models.efficientnet_lite import EfficientNetLite0, folded, load_lite0
-from groundwalk.training.models.posenet_lite import PoseNetLite, Whitening
+from groundwalk.training.models.posenet_lite import PoseNetLite
 from groundwalk.training.models.uncertainty import CovarianceScale
 from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressor_settings import LiteSettings
@@ -131,18 +131,6 @@ def test_an_answer_between_two_components_is_less_certain_than_each() -> None:
     # The geometric median of two lies between them, wherever it is.
     x = float(mixture.poses(apart, scene).position_B3[0, 0])
     assert move == pytest.approx(alone**0.5 * np.prod([(alone**2 + d * d) ** 0.125 for d in (x, 6 - x)]), rel=1e-4)
-
-
-def test_whitened_features_have_unit_variance_and_need_none() -> None:
-    torch.manual_seed(0)
-    features = torch.randn(200, 30) * torch.logspace(0, 1, 30)
-    whitening = Whitening(30, 8)
-    whitening.fit(features, torch.ones(30))
-    white = whitening(features)
-    assert float(white.std()) == pytest.approx(1, rel=1e-3)
-    assert torch.allclose(torch.corrcoef(white.T), torch.eye(8), atol=1e-3)
-    whitening.fit(torch.ones(5, 30), torch.ones(30))  # all frames alike
-    assert whitening(torch.ones(2, 30)).tolist() == [[0.0] * 8] * 2
 
 
 def test_a_resumed_run_with_cached_features_ends_in_the_same_weights(
