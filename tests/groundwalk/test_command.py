@@ -137,21 +137,6 @@ def test_errors_are_those_of_the_packages(
     assert ended.value.code == status and said in "".join(capsys.readouterr())
 
 
-def test_scenes_lists_profiles_captures_and_stages(tmp_path: Path) -> None:
-    (tmp_path / "captures" / "Own" / "walk").mkdir(parents=True)
-    (tmp_path / "captures" / "Own" / "walk" / "0.jpg").touch()
-    (tmp_path / "captures" / "no name").mkdir()
-    stage = tmp_path / "runs" / "tiny" / "Own" / "import"
-    stage.mkdir(parents=True)
-    (stage / "manifest.json").write_text("{}")
-    lines = {line.split()[0]: line for line in groundwalk("scenes", "--data", tmp_path).stdout.splitlines() if line}
-    assert "a first look" in lines["demo"]
-    assert "real" in lines["Own"] and "tiny: import" in lines["Own"]
-    assert "none, can be simulated" in lines["Church"]
-    assert "those of Square, Church, Bar" in lines["outdoor"]
-    assert "no" not in lines
-
-
 def test_scenes_names_a_broken_file_beside_the_others_and_outdated_stages(tmp_path: Path) -> None:
     (tmp_path / "scenes").mkdir()
     (tmp_path / "scenes" / "Broken.toml").write_text("x = \n")
@@ -356,15 +341,6 @@ def test_no_code_of_the_current_folder_runs(tmp_path: Path) -> None:
     (tmp_path / ".numba_config.yaml").write_text("cache_dir: cache")
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 2 and "settings of numba" in done.stderr
-
-
-@pytest.mark.parametrize("name", ["OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS"])
-@pytest.mark.parametrize("value", ["abc", "-1", "0", "4,2"])
-def test_a_number_of_threads_that_is_none_is_named(name: str, value: str, tmp_path: Path) -> None:
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as ended:
-        patch.setenv(name, value)
-        app(["scenes", f"--data={tmp_path}"])
-    assert ended.value.code == 2
 
 
 def test_a_removed_current_folder_is_named(tmp_path: Path) -> None:

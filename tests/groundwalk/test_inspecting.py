@@ -86,13 +86,6 @@ def test_reference_sessions_of_one_world_tell_their_overlap(tmp_path: Path) -> N
     assert shares == ["83", "83"]
 
 
-def test_data_sets_beside_each_other_have_worlds_of_their_own(tmp_path: Path) -> None:
-    for name in "ab":
-        write_colmap(tmp_path / name, make_walk())
-    looks, lines = looked_at(tmp_path)
-    assert len(looks) == 2 and "unknown</b><span>overlap with other sessions" in capture_page("place", looks, lines)
-
-
 @pytest.mark.parametrize("kind", ["walk", "photos"])
 def test_the_command_writes_one_file_of_any_capture(tmp_path: Path, kind: str) -> None:
     if kind == "walk":

@@ -283,16 +283,6 @@ def test_tables_of_the_same_major_version_are_read(make_run: Make) -> None:
         _ = open_place(made).predictions
 
 
-def test_tables_of_another_major_version_are_refused(make_run: Make) -> None:
-    made = make_run()
-    rewrite(made.folder / "align" / "ground_truth.parquet", "1.7")
-    with pytest.raises(UserError, match=r"(?s)align.ground_truth has another version.*2\.x.*1\.7.*run the align stage"):
-        _ = open_place(made).ground_truth
-    shutil.copy(made.folder / "fuse" / "poses.parquet", made.folder / "fuse" / "errors.parquet")
-    with pytest.raises(UserError, match=r"(?s)another table.*fuse\.errors.*fuse\.poses"):
-        _ = open_place(made).errors
-
-
 def test_stages_that_do_not_belong_together_are_not_mixed(make_run: Make) -> None:
     made = make_run()
     opened = open_place(made)

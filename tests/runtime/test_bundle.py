@@ -69,13 +69,6 @@ def test_an_image_of_another_size_is_the_same_view(wall_bundle: Path, image: Pat
     assert same == pytest.approx(position, abs=1e-6)
 
 
-def test_a_bundle_says_what_it_is(wall_bundle: Path) -> None:
-    bundle = open_bundle(wall_bundle)
-    assert "PN" in repr(bundle) and "Wall" in repr(bundle)
-    assert bundle.manifest["simulated"] and bundle.errors["frames"] == 5
-    assert bundle.frame["maps"] == {"Wall": "metres, +y up"}
-
-
 def test_one_changed_byte_is_seen_in_any_file(copy: Path) -> None:
     for path in sorted(p for p in copy.rglob("*") if p.is_file()):
         whole = path.read_bytes()

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -102,23 +101,6 @@ def test_a_phones_camera_is_in_the_truth_and_in_the_pictures_but_not_in_the_json
     assert digests(run(tmp_path / "again", PHONE, processes=2)) == digests(folder)
 
 
-def test_true_velocities_are_those_of_the_true_poses(finished: Path) -> None:
-    cameras = read_table(finished / "true_cameras.parquet", schema("simulate", "true_cameras"))
-    poses = read_table(finished / "true_poses.parquet", schema("simulate", "true_poses"))
-    assert (cameras[["k1", "k2", "k3", "readout_s"]] == 0).all(axis=None)
-    one = (poses.session_id == "train-1").to_numpy()
-    world_T_cam, t_s = poses_of(poses[one], "map_cam"), poses.t_ns[one].to_numpy() / 1e9
-    step = np.diff(t_s)[:, None]
-    velocity = cameras.loc[one, [f"velocity_{a}" for a in "xyz"]].to_numpy()
-    world = np.einsum("nij,nj->ni", world_T_cam[:, :3, :3], velocity)
-    moved = np.diff(world_T_cam[:, :3, 3], axis=0)
-    # Steps of 0.2 s hold a third of a gait's period.
-    assert np.median(np.linalg.norm(moved / step - (world[1:] + world[:-1]) / 2, axis=1)) < 0.06
-    turn = np.degrees(rotation_angle(relative(world_T_cam[:-1], world_T_cam[1:])[:, :3, :3]) / step[:, 0])
-    spin = np.degrees(np.linalg.norm(cameras.loc[one, [f"spin_{a}" for a in "xyz"]], axis=1))
-    assert np.median(np.abs(turn - (spin[1:] + spin[:-1]) / 2)) < 4
-
-
 @pytest.mark.parametrize("setting", ["lens=[0.1, 2, 0]", "readout_s=20", "focus_breathing=null"])
 def test_a_camera_setting_out_of_range_is_named(tmp_path: Path, setting: str) -> None:
     with pytest.raises(UserError, match=f'{setting.partition("=")[0]}.*number.* or "drawn"'):
@@ -176,16 +158,6 @@ def test_captures_of_others_are_never_touched(tmp_path: Path, force: bool) -> No
     with pytest.raises(UserError, match="aren't simulated"):
         run(tmp_path, force=force)
     assert foreign.read_text() == "{}"
-
-
-def test_a_foreign_file_among_simulated_ones_stops_a_new_simulation(finished: Path, tmp_path: Path) -> None:
-    copy = tmp_path / "captures" / SCENE
-    copy.parent.mkdir()
-    os.system(f"cp -r '{finished}' '{copy}'")
-    (copy / "train-1" / "notes.txt").write_text("mine")
-    with pytest.raises(UserError, match=r"(?s)holds other files.*notes\.txt"):
-        run(tmp_path, force=True)
-    assert (copy / "train-1" / "notes.txt").is_file()
 
 
 def test_a_walk_that_comes_while_captures_are_simulated_anew_stays(

@@ -11,7 +11,7 @@ import pycolmap
 import pytest
 
 from groundwalk.geometry.poses import interpolate, inverse, transform
-from groundwalk.simulation.camera import FOCAL, draw_phone, focus_breathing
+from groundwalk.simulation.camera import FOCAL, draw_phone
 from groundwalk.simulation.canvas import Canvas
 from groundwalk.simulation.mesh import build_mesh
 from groundwalk.simulation.place import Light, Route, SceneryPlan
@@ -65,19 +65,6 @@ def test_rays_come_back_to_their_pixels_in_colmaps_and_opencvs_camera(lens: Radi
     assert np.abs(opencv[:, 0] - points)[described].max() < 1e-4
     # Beyond the fold the picture goes on without a jump, by the lens's own formula.
     assert np.abs(F * lens.distort(rays) + (CX, CY) - points).max() < 1e-4
-
-
-@pytest.mark.parametrize("lens", [LENSES[0], LENSES[3]], ids=str)
-def test_derivative_of_rays_is_that_of_differences(lens: RadialDistortion) -> None:
-    step = 2e-3
-    x, y = (v.astype(np.float32) for v in np.meshgrid(np.linspace(-0.6, 0.6, 7), np.linspace(-0.45, 0.45, 7)))
-    xx, xy, yy = lens.undistort(x, y)[2]
-    h = np.float32(step / 2)
-    right, left = lens.undistort(x + h, y), lens.undistort(x - h, y)
-    down, up = lens.undistort(x, y + h), lens.undistort(x, y - h)
-    assert np.abs((right[0] - left[0]) / step - xx).max() < 0.01
-    assert np.abs((right[1] - left[1]) / step - xy).max() < 0.01
-    assert np.abs((down[1] - up[1]) / step - yy).max() < 0.01
 
 
 def checkers(c: Canvas) -> None:
@@ -223,25 +210,3 @@ def test_phones_are_drawn_from_the_measured_spread_and_stated_values_are_kept() 
     assert draw_phone(drawn, "Church", 5) == phones[5] != draw_phone(drawn, "Bar", 5)
     stated = draw_phone(SimulateSettings(lens=(0.16, -0.4, 0.1)), "Church", 5)
     assert stated.lens == RadialDistortion(0.16, -0.4, 0.1) and stated.readout_s == phones[5].readout_s
-
-
-def test_focus_breathes_smoothly_within_its_bounds() -> None:
-    t = np.arange(0, 200, 0.1)
-    factor = focus_breathing(t, SimulateSettings(focus_breathing=0.005), np.random.default_rng(0))
-    assert 0.0045 < np.abs(factor - 1).max() <= 0.005
-    crossings = np.count_nonzero(np.diff(np.sign(factor - 1)))
-    assert 14 <= crossings <= 28  # two in about 20 s
-    assert np.abs(np.diff(factor)).max() < 0.005 * 0.1
-    still = focus_breathing(t, SimulateSettings(focus_breathing=0.0), np.random.default_rng(0))
-    assert np.all(still == 1)
-
-
-def test_clock_offset_moves_truth_and_picture_but_not_vio(tmp_path: Path) -> None:
-    exact, _ = walked(tmp_path)
-    late, _ = walked(tmp_path, time_offset_s=1 / 60)
-    assert np.array_equal(exact.t_ns, late.t_ns)
-    assert np.array_equal(exact.frames.vio_T_cam, late.frames.vio_T_cam)
-    # Stamped a frame too late, a picture shows what the camera saw a frame before.
-    moved = np.linalg.norm(late.truth.world_T_cam[1:, :3, 3] - exact.truth.world_T_cam[:-1, :3, 3], axis=1)
-    assert moved.max() < 1e-3
-    assert np.array_equal(late.shots[3].view.world_T_cam, late.truth.world_T_cam[3 * 30])
