@@ -1,16 +1,14 @@
 """The page of a capture before import: what it looks like, how it was walked, and what to do better."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import Session, poses_of
-from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.media.images import encode_jpeg
 from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.capture_import.media.upright import quarters_to_upright, turned_pixels
@@ -27,7 +25,6 @@ from groundwalk.store.choices import QualityClass, Rejected
 _SHOWN, _THUMBNAIL_PX = 24, 240
 _MAX_MARKS = 800
 _GAP_S = 1.5  # between poses; charuco's are half a second apart
-_FOLDERS_OF_ONE_WORLD = ("colmap", "nerfstudio", "cambridge")
 _SECTORS = 12  # of 30 degrees, all round
 _ASSUMED_M, _ASSUMED_EXPOSURE_S, _ASSUMED_READOUT_S = 3.0, 0.01, 0.02
 # One place seen twice: looking the same way, this fraction of the extent apart.
@@ -121,15 +118,15 @@ def capture_page(name: str, looks: Sequence[Look], lines: Sequence[str]) -> str:
     ]
     if looks and not rows:
         parts.append(Markup("<p>Nothing below asks for another walk.</p>"))
-    parts += [_session_part(look, place, looks) for place, look in enumerate(looks)]
+    parts += [_session_part(look, place) for place, look in enumerate(looks)]
     parts.append(Markup("<h2>All that inspect says</h2><pre>{}</pre>").format("\n".join(lines)))
     return plain_page(name, "capture", parts)
 
 
-def _session_part(look: Look, place: int, looks: Sequence[Look]) -> Markup:
+def _session_part(look: Look, place: int) -> Markup:
     session = look.session
     facts = Markup().join(
-        Markup("<div><b>{}</b><span>{}</span><small>{}</small></div>").format(*fact) for fact in _facts(look, looks)
+        Markup("<div><b>{}</b><span>{}</span><small>{}</small></div>").format(*fact) for fact in _facts(look)
     )
     sheet = Markup().join(
         Markup('<figure><img src="{}" alt="{}"><figcaption>{}</figcaption></figure>').format(
@@ -158,7 +155,7 @@ def _moment(session: Session, row: int) -> str:
     return f"{(image.t_ns - session.frames[0].t_ns) * 1e-9:.1f} s"
 
 
-def _facts(look: Look, looks: Sequence[Look]) -> Iterator[tuple[str, str, str]]:
+def _facts(look: Look) -> Iterator[tuple[str, str, str]]:
     """Figures of a session: (number, what it is, more)."""
     session = look.session
     images = session.images
@@ -191,13 +188,6 @@ def _facts(look: Look, looks: Sequence[Look]) -> Iterator[tuple[str, str, str]]:
     else:
         yield "unknown", "exposure", "the log states none"
     yield from _motion_facts(look, exposures)
-    if len(looks) > 1:
-        others = [other for other in looks if other is not look and _same_world(look, other)]
-        if others:
-            seen = np.any([_sees_same(look, other) for other in others], axis=0)
-            yield f"{100 * seen.mean():.0f} %", "of images see what another session does", "by the reference's poses"
-        else:
-            yield "unknown", "overlap with other sessions", "each has a world of its own until sfm matches images"
 
 
 def _motion_facts(look: Look, exposures: Array) -> Iterator[tuple[str, str, str]]:
@@ -250,40 +240,16 @@ def _headings(look: Look) -> Array:
     return np.floor((np.arctan2(x, z) / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
 
 
-def _views_near(of: Look, among: Look) -> NDArray[np.bool_]:
-    """Which images (N, M) look the same way from nearly the same place."""
-    a, b = of.poses, among.poses
-    both = np.concatenate([a[:, :3, 3], b[:, :3, 3]])
-    near = _SAME_PLACE * np.linalg.norm(np.ptp(both, axis=0))
-    is_near = np.linalg.norm(a[:, None, :3, 3] - b[None, :, :3, 3], axis=2) <= near
-    looks_same_way = a[:, :3, 2] @ b[:, :3, 2].T > np.cos(np.radians(_SAME_VIEW_DEG))
-    return np.asarray(is_near & looks_same_way, bool)
-
-
-def _few(look: Look) -> Look:
-    """A look at images of at most 800, evenly, as each is compared with each."""
-    return replace(look, poses=look.poses[evenly(len(look.poses), _MAX_MARKS)])
-
-
-def _sees_same(look: Look, other: Look) -> NDArray[np.bool_]:
-    return np.asarray(_views_near(_few(look), _few(other)).any(axis=1), bool)
-
-
 def _revisited(look: Look) -> float:
-    """The fraction of images that see what an earlier one saw, the camera having looked or been elsewhere between."""
-    near = _views_near(few := _few(look), few)
+    """The fraction of images that see what an earlier one saw, the camera having looked or been elsewhere between: they
+    look the same way from nearly the same place. Of more than 800 images so many, as each is compared with each."""
+    poses = look.poses[evenly(len(look.poses), _MAX_MARKS)]
+    xyz, forward = poses[:, :3, 3], poses[:, :3, 2]
+    near = np.linalg.norm(xyz[:, None] - xyz, axis=2) <= _SAME_PLACE * np.linalg.norm(np.ptp(xyz, axis=0))
+    near &= forward @ forward.T > np.cos(np.radians(_SAME_VIEW_DEG))
     rows = np.arange(len(near))
     left = np.array([np.flatnonzero(~near[row, :row]).max(initial=-1) for row in rows])
     return float(np.mean([near[row, : left[row] + 1].any() for row in rows]))
-
-
-def _same_world(look: Look, other: Look) -> bool:
-    """Whether two sessions are folders of images of one data set; each odometry and each data set has its own world."""
-    a, b = look.session.recording, other.session.recording
-    if a.format != b.format or a.format not in _FOLDERS_OF_ONE_WORLD or a.folder.parent != b.folder.parent:
-        return False
-    # A data set that is one recording has the file of poses in its folder.
-    return not any(FORMATS[r.format].has(r.folder)[0] for r in (a, b))
 
 
 def _path(look: Look) -> str:

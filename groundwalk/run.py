@@ -211,14 +211,14 @@ class Run:
     def table(self, stage: str, table: str) -> pd.DataFrame:
         """Any table; docs/reference/tables.md lists them.
 
-        A column that an older version of the table didn't have is null. UserError where the stage isn't finished, was
-        made from inputs that were replaced since, or was run again after this run was opened, and for a table of
-        another major version.
+        A column that may be null, and that an older version of the table didn't have, is null. UserError where the
+        stage isn't finished, was made from inputs that were replaced since, or was run again after this run was opened,
+        and for a table of another major version.
         """
         of = _schema(stage, table)
         if (stage, table) not in self._tables:
             self._check(stage)
-            frame = read_table(self.folder / stage / f"{table}.parquet", of, older_is_complete=True)
+            frame = read_table(self.folder / stage / f"{table}.parquet", of)
             self._refuse_replaced(stage)
             self._tables[stage, table] = frame
         return self._tables[stage, table].copy()

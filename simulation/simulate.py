@@ -5,7 +5,6 @@ import multiprocessing
 import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import pandas as pd
@@ -65,10 +64,6 @@ def simulate(
         if is_made(final, key) and not force:
             console.print(f"{title}: up to date")
             return final
-        reduced = _reduced(settings, data, scene)
-        if reduced:
-            smaller = ", ".join(f"{name} {here} instead of {full}" for name, (here, full) in reduced.items())
-            console.print(f"  smaller than in profile paper: {smaller}")
         sessions: list[SimulatedSession] = []
 
         def attempt() -> None:
@@ -85,8 +80,6 @@ def simulate(
             "what": "Simulated capture: a procedural place rendered by simulation/, not a recording of a real one.",
             "profile": profile,
             "environment": config.environment,
-            "extent_m": config.extent_m,
-            "reduced": {name: {"here": here, "paper": full} for name, (here, full) in reduced.items()},
             "sessions": {
                 s.frames.name: {
                     "poses": len(s.frames.time_s),
@@ -179,19 +172,3 @@ def write_truth(folder: Path, sessions: Iterable[SimulatedSession]) -> None:
         cameras.append(rows)
     write_table(folder / TRUE_POSES, pd.concat(poses, ignore_index=True), schema("simulate", "true_poses"))
     write_table(folder / TRUE_CAMERAS, pd.concat(cameras, ignore_index=True), schema("simulate", "true_cameras"))
-
-
-def _reduced(settings: SimulateSettings, data: DataRoot, scene: str) -> dict[str, tuple[Any, Any]]:
-    """What is smaller here than in the paper profile: name -> (here, paper's)."""
-    full = resolve_settings(SimulateSettings, "simulate", data, "paper", scene, [])
-    here: dict[str, tuple[Any, Any]] = {}
-    for kind in ("train", "test"):
-        made = [round(s.frame_fraction * getattr(s, f"{kind}_frames")) for s in (settings, full)]
-        if made[0] < made[1]:
-            here[f"{kind} images"] = (made[0], made[1])
-    sizes = [f"{s.width}x{s.height}" for s in (settings, full)]
-    if settings.width < full.width:
-        here["image size"] = (sizes[0], sizes[1])
-    if settings.texel_m > full.texel_m:
-        here["texel"] = (f"{settings.texel_m} m", f"{full.texel_m} m")
-    return here

@@ -14,7 +14,7 @@ from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.capture_page import Look, advice, capture_page, look_at
 from groundwalk.cli import app
 from groundwalk.geometry.poses import make_pose
-from tests.capture_import.capture_writers import WIDTH, Walk, make_walk, write_colmap, write_frames_jsonl
+from tests.capture_import.capture_writers import WIDTH, Walk, make_walk, write_frames_jsonl
 
 TURN_RAD_S, EXPOSURE_S, READOUT_S = 0.5, 0.02, 0.03
 
@@ -63,27 +63,6 @@ def test_what_is_not_stated_is_said_to_be_unknown_and_the_dark_is_told(tmp_path:
     assert "unknown</b><span>blur length" in page and "unknown</b><span>row skew" in page
     told = {what for _, what, _ in advice(looks)}
     assert {"have more light", "come back to where you were, with the same view"} <= told
-
-
-def test_reference_sessions_of_one_world_tell_their_overlap(tmp_path: Path) -> None:
-    write_colmap(tmp_path, make_walk())
-    images = tmp_path / "images"
-    names = sorted(path.name for path in images.iterdir())
-    for place, name in enumerate(names):
-        (images / "ab"[place % 2]).mkdir(exist_ok=True)
-        (images / name).rename(images / "ab"[place % 2] / name)
-    model = tmp_path / "sparse" / "0"
-    data = (model / "images.bin").read_bytes()
-    for place, name in enumerate(names):
-        data = data.replace(name.encode() + b"\0", f"{'ab'[place % 2]}/{name}".encode() + b"\0")
-    (model / "images.bin").write_bytes(data)
-    looks, lines = looked_at(tmp_path)
-    assert [look.session.session_id for look in looks] == ["a", "b"]
-    shares = re.findall(
-        r"(\d+) %</b><span>of images see what another session does", capture_page("place", looks, lines)
-    )
-    # 5 of 6: at one end of the walk neighbours are 0.27 m apart, a little more than a tenth of the extent.
-    assert shares == ["83", "83"]
 
 
 @pytest.mark.parametrize("kind", ["walk", "photos"])
