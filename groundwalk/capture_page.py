@@ -136,7 +136,7 @@ def _session_part(look: Look, place: int) -> Markup:
     )
     drawing = Markup(_path(look))
     above = "from above" if look.has_up else "across its two longest sides, as up isn't known"
-    walk = Markup('<figure class="map">{}<figcaption>Path {}; a mark an image.</figcaption></figure>')
+    walk = Markup('<figure class="map images">{}<figcaption>Path {}; a mark an image.</figcaption></figure>')
     with style.applied():
         plots = Markup(style.inline_svg(_plots(look), f"session-{place}"))
     return (
