@@ -17,7 +17,6 @@ from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.gravity import upright_rotation
 from groundwalk.geometry.poses import pose_from_tq
 from groundwalk.runtime import open_bundle
-from groundwalk.runtime.bundle import _quaternion, matrix_of
 from groundwalk.runtime.bundle_file import MANIFEST, write_manifest
 from groundwalk.runtime.preprocessing import Preprocessing
 from groundwalk.runtime.queries import Query
@@ -205,13 +204,6 @@ def test_an_upright_network_is_tilted_by_gravity() -> None:
         steps = ({"step": "resize", "short_side_px": 8}, crop)
         query = Query(np.zeros((12, 16, 3), np.uint8), Camera(16, 12, 12, 12, 8, 6), None, None)
         list(Preprocessing(image, lens, steps).run(query))
-
-
-def test_quaternions_are_those_of_matrices() -> None:
-    rotation = Rotation.random(20, rng=np.random.default_rng(0))
-    for matrix, quaternion in zip(rotation.as_matrix(), rotation.as_quat(canonical=True), strict=True):
-        assert _quaternion(matrix) == pytest.approx(quaternion, abs=1e-9)
-        assert matrix_of(3 * quaternion) == pytest.approx(matrix, abs=1e-12)
 
 
 def locate(*arguments: object) -> subprocess.CompletedProcess[str]:

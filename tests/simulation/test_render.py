@@ -68,12 +68,6 @@ def test_painted_points_land_where_the_pinhole_camera_puts_them(position: tuple[
     assert checked >= 3
 
 
-def test_depth_is_along_the_optical_axis() -> None:
-    view = looking((0.3, 1.4, 1.0), (0.3, 1.4, -2.0))
-    depth = Renderer(build_mesh(room(dots).place, 0.02, 0)).render(view, Sky(0)).depth
-    assert np.allclose(depth[100:140, 140:180], 3.0, atol=1e-4)
-
-
 @pytest.mark.parametrize("away", [3.0, 20.0, 60.0])
 def test_fine_texture_neither_aliases_nor_shimmers(away: float) -> None:
     """A step of a twentieth of a pixel changes the picture no more than interpolating between its pixels would."""
