@@ -103,17 +103,6 @@ def test_predictions_are_those_of_regressors_and_localisers(make_run: Make) -> N
     assert set(open_place(made).predictions["model"]) == {"Map"}
 
 
-def test_the_docs_of_a_property_say_each_columns_unit() -> None:
-    for name, (stage, table) in PROPERTIES.items():
-        text = getattr(groundwalk.Run, name).__doc__
-        assert f"{stage}.{table}" in text
-        for column in schema(stage, table).columns:
-            of_group = any(f"{column.name.rpartition('_')[0]}_*" in line for line in text.splitlines())
-            assert of_group or f"{column.name}: {column.dtype}" in text, (name, column.name)
-    assert "position_m: float64 or null [m, frame map]: APE of map_cam" in str(groundwalk.Run.errors.__doc__)
-    assert "map_cam_*: float64 or null [m, unit quaternion, frame map]" in str(groundwalk.Run.ground_truth.__doc__)
-
-
 def test_columns_lists_type_unit_and_meaning(make_run: Make) -> None:
     columns = open_place(make_run("import")).columns("fuse", "errors").set_index("name")
     assert list(columns.index) == schema("fuse", "errors").column_names
