@@ -136,7 +136,6 @@ def plan_session(
         vio_T_cam=vio.vio_T_cam,
         intrinsics_N4=logged,
         exposure_s=np.array([e.duration_s for e in exposures]),
-        noise=np.array([e.noise for e in exposures]),
         width=settings.width,
         height=settings.height,
         image_every=every,

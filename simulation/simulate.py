@@ -149,8 +149,6 @@ def write_truth(folder: Path, sessions: Iterable[SimulatedSession]) -> None:
         rows[["fx", "fy", "cx", "cy"]] = truth.intrinsics_N4
         rows[["k1", "k2", "k3"]] = phone.lens.k1, phone.lens.k2, phone.lens.k3
         rows[["readout_s", "time_offset_s"]] = phone.readout_s, phone.time_offset_s
-        rows[[f"velocity_{axis}" for axis in "xyz"]] = truth.velocity_cam_N3
-        rows[[f"spin_{axis}" for axis in "xyz"]] = truth.spin_cam_N3
         cameras.append(rows)
     write_table(folder / TRUE_POSES, pd.concat(poses, ignore_index=True), schema("simulate", "true_poses"))
     write_table(folder / TRUE_CAMERAS, pd.concat(cameras, ignore_index=True), schema("simulate", "true_cameras"))
