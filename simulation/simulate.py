@@ -78,7 +78,6 @@ def simulate(
             "key": key,
             "what": "Simulated capture: a procedural place rendered by simulation/, not a recording of a real one.",
             "profile": profile,
-            "environment": config.environment,
             "sessions": {s.frames.name: {"poses": len(s.frames.time_s), "images": len(s.shots)} for s in sessions},
         }
         shutil.rmtree(work / _MESH)
