@@ -26,7 +26,7 @@ _SHOWN, _THUMBNAIL_PX = 24, 240
 _MAX_MARKS = 800
 _GAP_S = 1.5  # between poses; charuco's are half a second apart
 _SECTORS = 12  # of 30 degrees, all round
-_ASSUMED_M, _ASSUMED_EXPOSURE_S, _ASSUMED_READOUT_S = 3.0, 0.01, 0.02
+_ASSUMED_EXPOSURE_S = 0.01
 # One place seen twice: looking the same way, this fraction of the extent apart.
 _SAME_VIEW_DEG, _SAME_PLACE = 30.0, 0.1
 _BLURRED_PX, _FAST_DEG_S, _FAST_M_S = 3.0, 45.0, 1.5
@@ -37,14 +37,13 @@ _FEW_IMAGES, _REJECTED = 60, 0.1
 @dataclass(frozen=True)
 class Look:
     """What the page shows of a session: `poses` (N, 4, 4) of its images, NaN where unknown, `pixels_s` (N,) how fast
-    the image's middle moves as the camera turns, `walking_px_s` (N,) as it moves past what is 3 m away, `turning_deg_s`
-    and `speed_m_s` (N,); of sampled images thumbnails, mean grey levels (of 255) and the fraction of white pixels."""
+    the image's middle moves as the camera turns, `turning_deg_s` and `speed_m_s` (N,); of sampled images thumbnails,
+    mean grey levels (of 255) and the fraction of white pixels."""
 
     session: Session
     has_up: bool
     poses: Array
     pixels_s: Array
-    walking_px_s: Array
     turning_deg_s: Array
     speed_m_s: Array
     sampled: Array
@@ -75,7 +74,7 @@ def look_at(session: Session, has_up: bool, reader: ImageReader) -> Look:
         brightness.append(float(rgb.mean()))
         clipped.append(float((rgb.min(axis=2) >= 250).mean()))
     unknown = np.full(len(images), np.nan)
-    pixels_s, walking, turning, speed = unknown, unknown, unknown, unknown
+    pixels_s, turning, speed = unknown, unknown, unknown
     if session.has_poses and session.recording.clock.has_times and len(session.frames) > 1:
         t_ns = np.array([image.t_ns for image in images], np.int64)
         jumps = np.array([jump.t_ns for jump in session.jumps], np.int64)
@@ -85,13 +84,11 @@ def look_at(session: Session, has_up: bool, reader: ImageReader) -> Look:
         turning = np.degrees(np.linalg.norm(rates.angular, axis=1))
         if session.recording.is_metric:
             speed = np.linalg.norm(rates.velocity, axis=1)
-            walking = focal * np.linalg.norm(rates.velocity[:, :2], axis=1) / _ASSUMED_M
     return Look(
         session,
         has_up,
         poses_of(images),
         pixels_s,
-        walking,
         turning,
         speed,
         np.array(sampled, int),
@@ -187,29 +184,15 @@ def _facts(look: Look) -> Iterator[tuple[str, str, str]]:
         yield f"{1000 * np.nanmedian(exposures):.1f} ms", "exposure, median", f"{_range(1000 * exposures, 'ms')}"
     else:
         yield "unknown", "exposure", "the log states none"
-    yield from _motion_facts(look, exposures)
-
-
-def _motion_facts(look: Look, exposures: Array) -> Iterator[tuple[str, str, str]]:
-    """What the camera's motion makes of images, in pixels."""
-    if not np.isfinite(look.pixels_s).any():
-        yield "unknown", "blur length and row skew", "no poses with times to tell how fast the camera moves"
-        return
     blur = look.blur_px(exposures)
-    if np.isfinite(blur).any():
-        walking = f"; {np.nanmedian(look.walking_px_s * exposures):.1f} px more or less, 3 m away, by walking"
-        walking = walking if np.isfinite(look.walking_px_s).any() else ""
+    if not np.isfinite(look.pixels_s).any():
+        yield "unknown", "blur length", "no poses with times to tell how fast the camera moves"
+    elif np.isfinite(blur).any():
         what = "blur length of what is far away, by turning, median"
-        yield f"{np.nanmedian(blur):.1f} px", what, _range(blur, "px") + walking
+        yield f"{np.nanmedian(blur):.1f} px", what, _range(blur, "px")
     else:
         usual = np.nanmedian(look.blur_px(_ASSUMED_EXPOSURE_S))
         yield "unknown", "blur length", f"exposure is unknown; {usual:.1f} px by turning if it is 10 ms"
-    readout = look.session.recording.readout_s
-    skew = np.nanmedian(look.pixels_s) * (_ASSUMED_READOUT_S if readout is None else readout)
-    if readout is None:
-        yield "unknown", "row skew", f"readout is unknown until sfm; {skew:.1f} px by turning if it is 20 ms"
-    else:
-        yield f"{skew:.1f} px", "row skew by turning, median", f"over a readout of {1000 * readout:.1f} ms"
 
 
 def _range(values: Array, unit: str) -> str:
@@ -283,13 +266,9 @@ def _plots(look: Look) -> Figure:
     if moves:
         known = bool(np.isfinite(exposures).any())
         blur = look.blur_px(exposures if known else _ASSUMED_EXPOSURE_S)
-        readout = session.recording.readout_s
-        skew = look.pixels_s * (_ASSUMED_READOUT_S if readout is None else readout)
-        axes[2].plot(at, blur, color=style.VIO, lw=0.9, label="blur" + ("" if known else " if 10 ms"))
-        axes[2].plot(at, skew, color=style.NEUTRAL, lw=0.9, label="row skew" + (" if 20 ms" if readout is None else ""))
-        axes[2].set(title="By turning (px)")
+        axes[2].plot(at, blur, color=style.INK, lw=0.9)
+        axes[2].set(title=f"Blur by turning{'' if known else ', if exposed for 10 ms'} (px)")
         axes[2].set_ylim(bottom=0)
-        axes[2].legend(fontsize=7)
     axes[-1].set_xlabel("s" if has_times else "image, by name")
     return figure
 
