@@ -207,9 +207,7 @@ def users(scene: SceneInputs) -> Grid | None:
 
 def walks(scene: SceneInputs) -> Grid | None:
     """What each model alone is worth on each test walk."""
-    heads = (
-        f"model | test walk | frames | answered | median ({scene.unit.symbol}) | median (°) | frames of class A, B | "
-    )
+    heads = f"model | test walk | frames | answered | median ({scene.unit.symbol}) | median (°) | "
     rows = []
     for (model, walk), s in by_walk(scene).items():
         errors = [number(error, digits_of(error)) for error in (s.median_m, s.median_deg)]
