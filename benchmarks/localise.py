@@ -2,12 +2,10 @@
 
 Each case builds its map from its training frames alone, asks all its queries, and holds the poses against the ground
 truth of align. Needs finished runs (import, sfm, align) of the scenes that are asked for; cases of scenes without are
-left out. Church's test walks are rendered in other lights where they lack (benchmarks/lights.py). Writes
-docs/results/localise.md and .csv.
+left out. Writes docs/results/localise.md and .csv.
 """
 
 import csv
-import os
 import tempfile
 import time
 from collections.abc import Iterable, Sequence
@@ -22,8 +20,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
-from benchmarks.lights import frames_in
-from benchmarks.localise_lights import Figure, lights_section
 from benchmarks.localise_regressors import answers_of, trained_regressors
 from benchmarks.results import busy_machine, markdown_table
 from groundwalk.export.regressor import TrainedRegressor
@@ -43,7 +39,6 @@ from groundwalk.localisation.stage import errors_of
 from groundwalk.scoring.errors import BOUND_95, normalised_squares, pose_error
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.checkout import git_revision
-from groundwalk.store.choices import Appearance
 from groundwalk.store.cli import new_app
 from groundwalk.store.images import image_file, read_grey_image
 from groundwalk.store.parallel import in_parallel, one_thread
@@ -57,15 +52,25 @@ _PARTS = (8, 4, 2, 1)
 
 
 @dataclass(frozen=True)
+class Figure:
+    """One number of a case and localiser."""
+
+    case: str
+    localiser: str
+    name: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Case:
     """Queries of a scene, and what the Map must reach with them: figure -> (least, most), None where there is no
-    bound. `light` is that of the test walks."""
+    bound."""
 
     name: str
     scene: str
     queries: str
     targets: dict[str, tuple[float | None, float | None]]
-    light: Appearance = Appearance.SAME
 
 
 @dataclass(frozen=True)
@@ -96,19 +101,8 @@ _CHURCH = {
     "wrong answers": (None, 0.0),
     **_HONEST,
 }
-_WITHIN = {Appearance.OTHER_HOUR: 95.0, Appearance.EVENING: 85.0, Appearance.OTHER_MONTH: 85.0}
 CASES = [
-    Case("Church, light same", "Church", "test", _CHURCH),
-    *(
-        Case(
-            f"Church, light {light}",
-            "Church",
-            "test",
-            {"within 25 cm and 2 deg": (within, None), **_HONEST, "wrong answers by queries": (None, 0.5)},
-            light,
-        )
-        for light, within in _WITHIN.items()
-    ),
+    Case("Church", "Church", "test", _CHURCH),
     Case(
         "chair, every fourth",
         "chair",
@@ -146,7 +140,6 @@ def main(
     ] = None,
     profile: Annotated[str, typer.Option(help="profile of the runs")] = "demo",
     out: Annotated[Path, typer.Option(help="folder for localise.md and .csv")] = Path("docs/results"),
-    lights: Annotated[Path, typer.Option(help="folder for Church's test walks in other lights")] = Path("build/lights"),
     only: Annotated[str, typer.Option(help="cases whose names start so")] = "",
 ) -> None:
     """Build each case's map, ask its queries, and write what came out."""
@@ -163,10 +156,7 @@ def main(
             if case is _GROWTH:
                 figures += _growth(built[key])
             else:
-                folder = lights / case.scene / case.light
-                if case.light != Appearance.SAME:
-                    frames_in(root.captures(case.scene), case.light, folder, os.cpu_count() or 1)
-                figures += run_case(case, built[key], folder)
+                figures += run_case(case, built[key])
         # After each case: the last of them take an hour to come to.
         write_report(out, figures, profile, revision)
     if not figures:
@@ -206,13 +196,11 @@ def _kept(content: CompactMap) -> tuple[int, MapLocaliser]:
         return file.stat().st_size, MapLocaliser(read_map(file))
 
 
-def run_case(case: Case, built: Built, folder: Path) -> list[Figure]:
-    """The figures of a case, of both localisers; `folder` has the images of another light."""
+def run_case(case: Case, built: Built) -> list[Figure]:
+    """The figures of a case, of both localisers."""
     inputs, query, localiser, hloc = built.inputs, built.query, built.localiser, built.hloc
     gravity = [g if np.isfinite(g).all() else None for g in inputs.gravity]
     files = {row: built.images[row] for row in query.tolist()}
-    if case.light != Appearance.SAME:
-        files = {row: folder / file.parent.name / file.name for row, file in files.items()}
     pictures = {row: read_grey_image(file) for row, file in files.items()}
     asked = [localiser.localise(picture, inputs.logged[row], gravity[row]) for row, picture in pictures.items()]
     without = [localiser.localise(picture, inputs.logged[row]) for row, picture in pictures.items()]
@@ -377,7 +365,6 @@ def write_report(out: Path, figures: Sequence[Figure], profile: str, revision: s
             writer.writerow([f.case, f.localiser, f.name, f"{f.value:.6g}", f.unit, *bounds, met, *head.values()])
     sections = ["# Localising by structure", _HEADER, "\n".join(f"- {name}: {value}" for name, value in head.items())]
     sections += ["## Against the figures to reach", markdown_table(_target_rows(figures, targets))]
-    sections += lights_section(out, figures)
     for case in dict.fromkeys(f.case for f in figures):
         sections += [f"## {case}", markdown_table(_case_rows([f for f in figures if f.case == case]))]
     (out / "localise.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
@@ -386,8 +373,7 @@ def write_report(out: Path, figures: Sequence[Figure], profile: str, revision: s
 _HEADER = f"""Written by `python -m benchmarks.localise`; not to be edited. Maps are of training frames alone, with
 ground-truth poses fixed; queries have their logged intrinsics and, unless it says otherwise, the phone's gravity.
 Church is simulated, chair, charuco and corridor are real; errors are against align's ground truth, in which the
-queries' images took part. In other lights Church's test walks are the same, pose by pose, so that their ground truth is
-that of light same; no image of another light took part in anything but the queries.
+queries' images took part.
 Shares and percentiles are of all queries, a refused one counts as infinitely wrong. A prior is the ground truth off by
 {PRIOR_SD_M} m and {PRIOR_SD_DEG:g} degrees a coordinate, one sigma. Times are from a decoded image to its pose;
 `processor` is the time of all cores, which what else runs on the machine changes less. HLoc has the same

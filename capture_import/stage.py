@@ -34,7 +34,7 @@ from groundwalk.store import StageRun, UserError
 from groundwalk.store.files import write_json
 from groundwalk.store.hints import groundwalk_command, setting_of
 from groundwalk.store.images import image_file
-from groundwalk.store.simulated import appearances_of, are_simulated
+from groundwalk.store.simulated import are_simulated
 from groundwalk.store.tables import dataset_frames, have_times
 from groundwalk.store.text import grouped_reasons, name_list, printable
 
@@ -94,7 +94,7 @@ def run(r: StageRun[ImportSettings]) -> None:
             frames = held_frames(r, frames)
         frames_of = {s.session_id: frames[frames["session_id"] == s.session_id] for s in sessions}
         session_rows = tables.sessions_table(
-            sessions, frames_of, appearances_of(root), origin, reference_is_metric=settings.reference_is_metric
+            sessions, frames_of, origin, reference_is_metric=settings.reference_is_metric
         )
         sessions = _keep_gps(r, sessions)
         r.write("frames", frames.drop(columns=["recording", "stated_split", "content_sha256"]))

@@ -14,7 +14,7 @@ from groundwalk.capture_import.sessions import duration, path_length
 from groundwalk.geometry.gravity import gravity_in_camera
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.shutter import usual_first_row
-from groundwalk.store.choices import Appearance, ImageSide, LengthUnit, SessionSplit, Split, UpAxis
+from groundwalk.store.choices import ImageSide, LengthUnit, SessionSplit, Split, UpAxis
 from groundwalk.store.tables import dataset_frames, pose_frame
 from groundwalk.store.text import printable
 
@@ -86,14 +86,12 @@ def reference_table(session: Session, frames: pd.DataFrame) -> pd.DataFrame:
 def sessions_table(
     sessions: Sequence[Session],
     frames: Mapping[str, pd.DataFrame],
-    appearances: Mapping[str, Appearance],
     origin: Array | None = None,
     *,
     reference_is_metric: bool,
 ) -> pd.DataFrame:
-    """One row a session; `frames` has its rows of the frames table with their splits, `appearances` says what is seen
-    in simulated recordings, `origin` (3,) is what was taken off the positions of references. `reference_is_metric`:
-    references without a stated unit are in metres."""
+    """One row a session; `frames` has its rows of the frames table with their splits, `origin` (3,) is what was taken
+    off the positions of references. `reference_is_metric`: references without a stated unit are in metres."""
     rows = []
     for session in sessions:
         used, recording = frames[session.session_id], session.recording
@@ -118,7 +116,6 @@ def sessions_table(
                 "pose_source": recording.pose_source,
                 "reference_unit": unit if is_reference else None,
                 **dict(zip(_ORIGIN, reference_origin if is_reference else [math.nan] * 3, strict=True)),
-                "appearance": appearances.get(recording.recording_id),
                 "up": UpAxis.Y if recording.is_gravity_aligned else UpAxis.UNKNOWN,
                 "up_source": recording.up_source,
             }

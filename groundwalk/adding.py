@@ -18,7 +18,7 @@ from groundwalk.pipeline import Step, run_steps
 from groundwalk.store import progress
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import CHANGE, KEY_FILE, partial_folder, read_json, swap_in, write_json
+from groundwalk.store.files import CHANGE, KEY_FILE, link_or_copy, partial_folder, read_json, swap_in, write_json
 from groundwalk.store.hints import run_command
 from groundwalk.store.inputs import capture_files, held
 from groundwalk.store.locks import locked
@@ -140,19 +140,12 @@ def _make(changed: DataRoot, data: DataRoot, profile: str, scene: str, new: Path
         return [name for name in names if name.startswith(".") or (not new and Path(folder, name) == captures / place)]
 
     shutil.rmtree(target, ignore_errors=True)
-    shutil.copytree(captures, target, ignore=ignored, copy_function=_link, symlinks=True)
+    shutil.copytree(captures, target, ignore=ignored, copy_function=link_or_copy, symlinks=True)
     if new:
         copy: Any = shutil.copytree if new.is_dir() else shutil.copy2
         copy(new, target / place)
     for name in _STAGES:
         execute(stage_of(name), scene, profile, changed, None, load_manifest(data.run(profile, scene, name))["seed"])
-
-
-def _link(source: str, target: str) -> None:
-    try:
-        os.link(source, target)
-    except OSError:  # another disk, or one without links
-        shutil.copy2(source, target)
 
 
 def _put_in_place(aside: Path, data: DataRoot, profile: str, scene: str, is_new: bool) -> None:

@@ -18,8 +18,6 @@ from typing import Annotated, Any
 
 import pandas as pd
 import typer
-from markupsafe import Markup
-from rich.table import Table
 
 from groundwalk.cli import all_commands, stage_of
 from groundwalk.pipeline import Step, check, is_step_up_to_date, steps
@@ -93,7 +91,7 @@ def campaign(
             failed = _snakemake(folder, cores or usable_cores(), context.args) if jobs else 0
     outcome = write_report(folder, root)
     write_index(root)
-    _show(outcome, folder)
+    progress.stdout.print(f"{_counts(outcome)}: {folder / PAGE}")
     if not status and (failed or (outcome["state"] != State.DONE).any()):
         raise typer.Exit(1)
 
@@ -258,7 +256,7 @@ def write_report(folder: Path, data: DataRoot) -> pd.DataFrame:
     with written_aside(folder / TABLE) as partial:
         table.assign(state=table["state"].astype(str)).to_parquet(partial, index=False)
     with written_aside(folder / PAGE) as partial:
-        partial.write_text(_page(table, folder, data), encoding="utf-8")
+        partial.write_text(_page(table, folder.name), encoding="utf-8")
     return table
 
 
@@ -284,32 +282,21 @@ def _row(folder: Path, job: Job, data: DataRoot) -> dict[str, Any]:
     return {**row, "state": state, "message": message.strip() if error else last_line}
 
 
-def _page(table: pd.DataFrame, folder: Path, data: DataRoot) -> str:
+def _counts(table: pd.DataFrame) -> str:
+    counts = table["state"].value_counts()
+    return ", ".join(f"{counts.get(state, 0)} {state}" for state in State)
+
+
+def _page(table: pd.DataFrame, name: str) -> str:
     # Here, as most commands need no page.
     from groundwalk.reports.grids import EMPTY, html_table, plain_grid
     from groundwalk.reports.templating import plain_page
 
-    counts = table["state"].value_counts()
     shown = table[["scene", "profile", "stage", "state", "message", "seconds", "peak_memory_mib"]]
     rows = (
         [f"{v:,.0f}" if isinstance(v, float) else v for v in row]
         for row in shown.astype(object).where(shown.notna(), EMPTY).itertuples(index=False)
     )
-    caption = f"{', '.join(f'{counts.get(state, 0)} {state}' for state in State)}; those that need attention come first"
+    caption = f"{_counts(table)}; those that need attention come first. The page of all runs links to their reports."
     heads = "scene | profile | stage | state | message | s | MiB"
-    grid = plain_grid("stages", "Stages", f"{caption}.", heads, rows, 5)
-    links = Markup()
-    of_stages = table.loc[table["stage"] != "", ["scene", "profile"]].drop_duplicates()
-    for scene, profile in of_stages.itertuples(index=False):
-        report = data.run(profile, scene, "report") / "page.html"
-        if report.is_file():
-            links += Markup('<a href="{}">{}</a> ').format(report.as_uri(), f"{scene}, {profile}")
-    return plain_page(folder.name, "campaign", [html_table(grid), Markup("<p>Reports: {}</p>").format(links)])
-
-
-def _show(outcome: pd.DataFrame, folder: Path) -> None:
-    table = Table("state", "stages", "scenes", box=None, pad_edge=False)
-    for state, of_state in outcome.groupby("state", sort=False):
-        table.add_row(str(state), str(len(of_state)), ", ".join(dict.fromkeys(of_state["scene"].head(8))))
-    progress.stdout.print(table)
-    progress.stdout.print(str(folder / PAGE))
+    return plain_page(name, "campaign", [html_table(plain_grid("stages", "Stages", caption, heads, rows, 5))])

@@ -1,16 +1,14 @@
 """The page of a capture before import: what it looks like, how it was walked, and what to do better."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import Session, poses_of
-from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.media.images import encode_jpeg
 from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.capture_import.media.upright import quarters_to_upright, turned_pixels
@@ -27,9 +25,8 @@ from groundwalk.store.choices import QualityClass, Rejected
 _SHOWN, _THUMBNAIL_PX = 24, 240
 _MAX_MARKS = 800
 _GAP_S = 1.5  # between poses; charuco's are half a second apart
-_FOLDERS_OF_ONE_WORLD = ("colmap", "nerfstudio", "cambridge")
 _SECTORS = 12  # of 30 degrees, all round
-_ASSUMED_M, _ASSUMED_EXPOSURE_S, _ASSUMED_READOUT_S = 3.0, 0.01, 0.02
+_ASSUMED_EXPOSURE_S = 0.01
 # One place seen twice: looking the same way, this fraction of the extent apart.
 _SAME_VIEW_DEG, _SAME_PLACE = 30.0, 0.1
 _BLURRED_PX, _FAST_DEG_S, _FAST_M_S = 3.0, 45.0, 1.5
@@ -40,14 +37,13 @@ _FEW_IMAGES, _REJECTED = 60, 0.1
 @dataclass(frozen=True)
 class Look:
     """What the page shows of a session: `poses` (N, 4, 4) of its images, NaN where unknown, `pixels_s` (N,) how fast
-    the image's middle moves as the camera turns, `walking_px_s` (N,) as it moves past what is 3 m away, `turning_deg_s`
-    and `speed_m_s` (N,); of sampled images thumbnails, mean grey levels (of 255) and the fraction of white pixels."""
+    the image's middle moves as the camera turns, `turning_deg_s` and `speed_m_s` (N,); of sampled images thumbnails,
+    mean grey levels (of 255) and the fraction of white pixels."""
 
     session: Session
     has_up: bool
     poses: Array
     pixels_s: Array
-    walking_px_s: Array
     turning_deg_s: Array
     speed_m_s: Array
     sampled: Array
@@ -78,7 +74,7 @@ def look_at(session: Session, has_up: bool, reader: ImageReader) -> Look:
         brightness.append(float(rgb.mean()))
         clipped.append(float((rgb.min(axis=2) >= 250).mean()))
     unknown = np.full(len(images), np.nan)
-    pixels_s, walking, turning, speed = unknown, unknown, unknown, unknown
+    pixels_s, turning, speed = unknown, unknown, unknown
     if session.has_poses and session.recording.clock.has_times and len(session.frames) > 1:
         t_ns = np.array([image.t_ns for image in images], np.int64)
         jumps = np.array([jump.t_ns for jump in session.jumps], np.int64)
@@ -88,13 +84,11 @@ def look_at(session: Session, has_up: bool, reader: ImageReader) -> Look:
         turning = np.degrees(np.linalg.norm(rates.angular, axis=1))
         if session.recording.is_metric:
             speed = np.linalg.norm(rates.velocity, axis=1)
-            walking = focal * np.linalg.norm(rates.velocity[:, :2], axis=1) / _ASSUMED_M
     return Look(
         session,
         has_up,
         poses_of(images),
         pixels_s,
-        walking,
         turning,
         speed,
         np.array(sampled, int),
@@ -121,15 +115,15 @@ def capture_page(name: str, looks: Sequence[Look], lines: Sequence[str]) -> str:
     ]
     if looks and not rows:
         parts.append(Markup("<p>Nothing below asks for another walk.</p>"))
-    parts += [_session_part(look, place, looks) for place, look in enumerate(looks)]
+    parts += [_session_part(look, place) for place, look in enumerate(looks)]
     parts.append(Markup("<h2>All that inspect says</h2><pre>{}</pre>").format("\n".join(lines)))
     return plain_page(name, "capture", parts)
 
 
-def _session_part(look: Look, place: int, looks: Sequence[Look]) -> Markup:
+def _session_part(look: Look, place: int) -> Markup:
     session = look.session
     facts = Markup().join(
-        Markup("<div><b>{}</b><span>{}</span><small>{}</small></div>").format(*fact) for fact in _facts(look, looks)
+        Markup("<div><b>{}</b><span>{}</span><small>{}</small></div>").format(*fact) for fact in _facts(look)
     )
     sheet = Markup().join(
         Markup('<figure><img src="{}" alt="{}"><figcaption>{}</figcaption></figure>').format(
@@ -139,7 +133,7 @@ def _session_part(look: Look, place: int, looks: Sequence[Look]) -> Markup:
     )
     drawing = Markup(_path(look))
     above = "from above" if look.has_up else "across its two longest sides, as up isn't known"
-    walk = Markup('<figure class="map">{}<figcaption>Path {}; a mark an image.</figcaption></figure>')
+    walk = Markup('<figure class="map images">{}<figcaption>Path {}; a mark an image.</figcaption></figure>')
     with style.applied():
         plots = Markup(style.inline_svg(_plots(look), f"session-{place}"))
     return (
@@ -158,7 +152,7 @@ def _moment(session: Session, row: int) -> str:
     return f"{(image.t_ns - session.frames[0].t_ns) * 1e-9:.1f} s"
 
 
-def _facts(look: Look, looks: Sequence[Look]) -> Iterator[tuple[str, str, str]]:
+def _facts(look: Look) -> Iterator[tuple[str, str, str]]:
     """Figures of a session: (number, what it is, more)."""
     session = look.session
     images = session.images
@@ -190,36 +184,15 @@ def _facts(look: Look, looks: Sequence[Look]) -> Iterator[tuple[str, str, str]]:
         yield f"{1000 * np.nanmedian(exposures):.1f} ms", "exposure, median", f"{_range(1000 * exposures, 'ms')}"
     else:
         yield "unknown", "exposure", "the log states none"
-    yield from _motion_facts(look, exposures)
-    if len(looks) > 1:
-        others = [other for other in looks if other is not look and _same_world(look, other)]
-        if others:
-            seen = np.any([_sees_same(look, other) for other in others], axis=0)
-            yield f"{100 * seen.mean():.0f} %", "of images see what another session does", "by the reference's poses"
-        else:
-            yield "unknown", "overlap with other sessions", "each has a world of its own until sfm matches images"
-
-
-def _motion_facts(look: Look, exposures: Array) -> Iterator[tuple[str, str, str]]:
-    """What the camera's motion makes of images, in pixels."""
-    if not np.isfinite(look.pixels_s).any():
-        yield "unknown", "blur length and row skew", "no poses with times to tell how fast the camera moves"
-        return
     blur = look.blur_px(exposures)
-    if np.isfinite(blur).any():
-        walking = f"; {np.nanmedian(look.walking_px_s * exposures):.1f} px more or less, 3 m away, by walking"
-        walking = walking if np.isfinite(look.walking_px_s).any() else ""
+    if not np.isfinite(look.pixels_s).any():
+        yield "unknown", "blur length", "no poses with times to tell how fast the camera moves"
+    elif np.isfinite(blur).any():
         what = "blur length of what is far away, by turning, median"
-        yield f"{np.nanmedian(blur):.1f} px", what, _range(blur, "px") + walking
+        yield f"{np.nanmedian(blur):.1f} px", what, _range(blur, "px")
     else:
         usual = np.nanmedian(look.blur_px(_ASSUMED_EXPOSURE_S))
         yield "unknown", "blur length", f"exposure is unknown; {usual:.1f} px by turning if it is 10 ms"
-    readout = look.session.recording.readout_s
-    skew = np.nanmedian(look.pixels_s) * (_ASSUMED_READOUT_S if readout is None else readout)
-    if readout is None:
-        yield "unknown", "row skew", f"readout is unknown until sfm; {skew:.1f} px by turning if it is 20 ms"
-    else:
-        yield f"{skew:.1f} px", "row skew by turning, median", f"over a readout of {1000 * readout:.1f} ms"
 
 
 def _range(values: Array, unit: str) -> str:
@@ -250,40 +223,16 @@ def _headings(look: Look) -> Array:
     return np.floor((np.arctan2(x, z) / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
 
 
-def _views_near(of: Look, among: Look) -> NDArray[np.bool_]:
-    """Which images (N, M) look the same way from nearly the same place."""
-    a, b = of.poses, among.poses
-    both = np.concatenate([a[:, :3, 3], b[:, :3, 3]])
-    near = _SAME_PLACE * np.linalg.norm(np.ptp(both, axis=0))
-    is_near = np.linalg.norm(a[:, None, :3, 3] - b[None, :, :3, 3], axis=2) <= near
-    looks_same_way = a[:, :3, 2] @ b[:, :3, 2].T > np.cos(np.radians(_SAME_VIEW_DEG))
-    return np.asarray(is_near & looks_same_way, bool)
-
-
-def _few(look: Look) -> Look:
-    """A look at images of at most 800, evenly, as each is compared with each."""
-    return replace(look, poses=look.poses[evenly(len(look.poses), _MAX_MARKS)])
-
-
-def _sees_same(look: Look, other: Look) -> NDArray[np.bool_]:
-    return np.asarray(_views_near(_few(look), _few(other)).any(axis=1), bool)
-
-
 def _revisited(look: Look) -> float:
-    """The fraction of images that see what an earlier one saw, the camera having looked or been elsewhere between."""
-    near = _views_near(few := _few(look), few)
+    """The fraction of images that see what an earlier one saw, the camera having looked or been elsewhere between: they
+    look the same way from nearly the same place. Of more than 800 images so many, as each is compared with each."""
+    poses = look.poses[evenly(len(look.poses), _MAX_MARKS)]
+    xyz, forward = poses[:, :3, 3], poses[:, :3, 2]
+    near = np.linalg.norm(xyz[:, None] - xyz, axis=2) <= _SAME_PLACE * np.linalg.norm(np.ptp(xyz, axis=0))
+    near &= forward @ forward.T > np.cos(np.radians(_SAME_VIEW_DEG))
     rows = np.arange(len(near))
     left = np.array([np.flatnonzero(~near[row, :row]).max(initial=-1) for row in rows])
     return float(np.mean([near[row, : left[row] + 1].any() for row in rows]))
-
-
-def _same_world(look: Look, other: Look) -> bool:
-    """Whether two sessions are folders of images of one data set; each odometry and each data set has its own world."""
-    a, b = look.session.recording, other.session.recording
-    if a.format != b.format or a.format not in _FOLDERS_OF_ONE_WORLD or a.folder.parent != b.folder.parent:
-        return False
-    # A data set that is one recording has the file of poses in its folder.
-    return not any(FORMATS[r.format].has(r.folder)[0] for r in (a, b))
 
 
 def _path(look: Look) -> str:
@@ -317,13 +266,9 @@ def _plots(look: Look) -> Figure:
     if moves:
         known = bool(np.isfinite(exposures).any())
         blur = look.blur_px(exposures if known else _ASSUMED_EXPOSURE_S)
-        readout = session.recording.readout_s
-        skew = look.pixels_s * (_ASSUMED_READOUT_S if readout is None else readout)
-        axes[2].plot(at, blur, color=style.VIO, lw=0.9, label="blur" + ("" if known else " if 10 ms"))
-        axes[2].plot(at, skew, color=style.NEUTRAL, lw=0.9, label="row skew" + (" if 20 ms" if readout is None else ""))
-        axes[2].set(title="By turning (px)")
+        axes[2].plot(at, blur, color=style.INK, lw=0.9)
+        axes[2].set(title=f"Blur by turning{'' if known else ', if exposed for 10 ms'} (px)")
         axes[2].set_ylim(bottom=0)
-        axes[2].legend(fontsize=7)
     axes[-1].set_xlabel("s" if has_times else "image, by name")
     return figure
 

@@ -17,7 +17,7 @@ from groundwalk.store import progress
 from groundwalk.store.__main__ import link_captures
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import STOPPED, partial_folder, read_json, written_aside
+from groundwalk.store.files import STOPPED, link_or_copy, partial_folder, read_json, written_aside
 from groundwalk.store.hints import view_command
 from groundwalk.store.inputs import capture_files
 from groundwalk.store.runs import runs_in
@@ -96,7 +96,10 @@ def judge(
     progress.console.print(f"judging {folder}; all that is made lies below {out}")
     report, unread = root.run(_JUDGED_IN, name, "report"), partial_folder(root.run(_JUDGED_IN, name, "import"))
     if not folder.is_dir():
-        _place(folder, root.captures(name))
+        captures = root.captures(name)  # a folder of its own, which import reads
+        captures.mkdir(parents=True, exist_ok=True)
+        (captures / folder.name).unlink(missing_ok=True)
+        link_or_copy(folder, captures / folder.name)
     elif capture_files(folder):
         link_captures(name, folder, root.root)
     else:
@@ -195,16 +198,6 @@ def _write_unreadable(out: Path, name: str, stopped: dict[str, Any]) -> None:
     write_unreadable(out, name, {key: str(text) for key, text in stopped.items() if text is not None})
     for file in ("page.html", VERDICT):
         progress.stdout.print(str(out / file))
-
-
-def _place(file: Path, captures: Path) -> None:
-    """The file in a folder of its own, which import reads: a second name of it, or a copy on another file system."""
-    captures.mkdir(parents=True, exist_ok=True)
-    (captures / file.name).unlink(missing_ok=True)
-    try:
-        os.link(file, captures / file.name)
-    except OSError:
-        shutil.copyfile(file, captures / file.name)
 
 
 @app.command()

@@ -1,7 +1,7 @@
 """The command `inspect`: what a capture holds and whether it can be used, in lines and on a page."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,6 +12,9 @@ from groundwalk.store.cli import new_app
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import written_aside
 from groundwalk.store.text import printable
+
+if TYPE_CHECKING:
+    from groundwalk.capture_page import Look
 
 app = new_app("What a capture holds.")
 
@@ -32,22 +35,20 @@ def inspect_command(
     if html is not None and (html.is_dir() or not html.absolute().parent.is_dir()):
         raise UserError("the page can't be written there", where=html, expected="a file in a folder that exists")
     unusable: list[str] = []
-    if html is None:
-        for line in inspect_capture(path, format, unusable):
-            typer.echo(printable(line))
-    else:
-        # Drawing takes a second to load.
-        from groundwalk.capture_page import Look, capture_page, look_at
+    lines: list[str] = []
+    looks: list[Look] = []
 
-        lines: list[str] = []
-        looks: list[Look] = []
+    def look(sessions: list[Session], has_up: bool, reader: ImageReader) -> None:
+        from groundwalk.capture_page import look_at  # drawing takes a second to load
 
-        def look(sessions: list[Session], has_up: bool, reader: ImageReader) -> None:
-            looks.extend(look_at(session, has_up, reader) for session in sessions if session.images)
+        looks.extend(look_at(session, has_up, reader) for session in sessions if session.images)
 
-        for line in inspect_capture(path, format, unusable, look):
-            lines.append(printable(line))
-            typer.echo(lines[-1])
+    for line in inspect_capture(path, format, unusable, look if html else None):
+        lines.append(printable(line))
+        typer.echo(lines[-1])
+    if html is not None:
+        from groundwalk.capture_page import capture_page
+
         page = capture_page(path.resolve().name, looks, lines)
         with written_aside(html) as file:
             file.write_text(page, encoding="utf-8")

@@ -61,16 +61,11 @@ def _manifests(folder: Path) -> dict[str, dict[str, Any]]:
 
 def _no_run(data: DataRoot, profile: str, scene: str) -> UserError:
     runs = data.root / "runs"
-    of_scene = sorted(path.parent.name for path in runs.glob(f"*/{scene}"))
-    scenes = sorted(path.name for path in (runs / profile).glob("*") if is_name(path.name))
-    if of_scene:
-        there = f"runs of it in profile {', '.join(of_scene)}"
-    else:
-        there = f"runs of {', '.join(scenes)} in profile {profile}" if scenes else f"no run of profile {profile}"
+    there = sorted(f"{path.name} of profile {path.parent.name}" for path in runs.glob("*/*") if is_name(path.name))
     return UserError(
         f"scene {scene} has no run of profile {profile}",
         where=runs,
-        found=there,
+        found=name_list(there, 5),
         do=f"{run_command(data.run(profile, scene, STAGES[-1]))}; or name another data folder with data=...",
     )
 

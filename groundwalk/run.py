@@ -1,12 +1,12 @@
 """Reading a scene's run: its tables as DataFrames, images as arrays, poses as matrices."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -20,7 +20,6 @@ from groundwalk.store.files import read_json, sha256_of
 from groundwalk.store.hints import run_command, setting_of
 from groundwalk.store.images import Image, image_file, read_image
 from groundwalk.store.manifests import MANIFEST, missing_stage
-from groundwalk.store.reference import column_lines
 from groundwalk.store.schemas import TableSchema, schema, stage_tables
 from groundwalk.store.settings import STAGES
 from groundwalk.store.tables import dataset_frames, points_in_map, poses_of, read_table
@@ -31,27 +30,13 @@ if TYPE_CHECKING:
     from groundwalk.localisation.results import QueryResult
     from groundwalk.torch_dataset import TorchDataset, Transform
 
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-def _with_columns(stage: str, table: str) -> Callable[[F], F]:
-    """Adds a table's columns, with type, unit, frame and meaning, to a docstring."""
-
-    def documented(function: F) -> F:
-        of = schema(stage, table)
-        lines = [f"Columns of {stage}.{table} {of.version}:", "", *column_lines(of)]
-        function.__doc__ = "\n".join([function.__doc__ or "", "", *(f"        {line}".rstrip() for line in lines)])
-        return function
-
-    return documented
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """What the finished stages of a scene's run wrote; `groundwalk.open` makes it.
 
-    Lengths are in metres, angles in degrees and capture times in nanoseconds unless a column says otherwise; each
-    property's docstring, and `columns(stage, table)`, gives the unit of each. A DataFrame is the caller's to change.
+    Lengths are in metres, angles in degrees and capture times in nanoseconds unless a column says otherwise;
+    `columns(stage, table)` gives type, unit, frame and meaning of each. A DataFrame is the caller's to change.
 
     `folder` is the run's, `captures` its scene's capture folder (None where that isn't known), `manifests` those of the
     finished stages, in order; `outdated` names, for each stage made from inputs that were replaced since, one of them.
@@ -112,25 +97,21 @@ class Run:
         return pd.DataFrame(rows, columns=["stage", "table", "rows", "meaning"])
 
     @property
-    @_with_columns("import", "sessions")
     def sessions(self) -> pd.DataFrame:
         """Recordings of the captures, one row each."""
         return self.table("import", "sessions")
 
     @property
-    @_with_columns("import", "rejects")
     def rejects(self) -> pd.DataFrame:
         """What import left out of the captures, one row each, and why."""
         return self.table("import", "rejects")
 
     @property
-    @_with_columns("align", "checks")
     def checks(self) -> pd.DataFrame:
         """What had to hold before ground truth was given out, one row a check, with its status, reason and advice."""
         return self.table("align", "checks")
 
     @property
-    @_with_columns("import", "frames")
     def frames(self) -> pd.DataFrame:
         """Frames of the dataset, one row each, with camera and VIO pose; without the support frames of SfM, which
         `table("import", "frames")` has, too.
@@ -138,14 +119,11 @@ class Run:
         return dataset_frames(self.table("import", "frames"))
 
     @property
-    @_with_columns("align", "ground_truth")
     def ground_truth(self) -> pd.DataFrame:
         """Ground truth, one row a frame: poses map_T_cam with covariance and quality class."""
         return self.table("align", "ground_truth")
 
     @property
-    @_with_columns("localise", "predictions")
-    @_with_columns("train", "predictions")
     def predictions(self) -> pd.DataFrame:
         """The poses of regressors (stage train) and structure localisers (stage localise), one row a frame and model,
         of the stages of both that are finished. What only localisers say is null for regressors; a frame that a
@@ -185,13 +163,11 @@ class Run:
         return ask_map(self._localiser(model), query_of(source, known, "intrinsics of groundwalk.Run.localise"))
 
     @property
-    @_with_columns("fuse", "poses")
     def poses(self) -> pd.DataFrame:
         """Poses after fusion with VIO, one row a frame, method and model."""
         return self.table("fuse", "poses")
 
     @property
-    @_with_columns("fuse", "errors")
     def errors(self) -> pd.DataFrame:
         """Errors of `poses` and `predictions` against the ground truth, one row a frame with ground truth, method and
         model. A frame without a pose has a row, too, whose errors are NaN: it counts as failed, so put infinity there
@@ -200,7 +176,6 @@ class Run:
         return self.table("fuse", "errors")
 
     @property
-    @_with_columns("sfm", "points")
     def points(self) -> pd.DataFrame:
         """The points of SfM in the map: x, y, z in metres, +y up (where the map has scale and vertical, see
         scale_source and vertical_source of `ground_truth`). Models that aren't in the map are left out;
@@ -211,14 +186,14 @@ class Run:
     def table(self, stage: str, table: str) -> pd.DataFrame:
         """Any table; docs/reference/tables.md lists them.
 
-        A column that an older version of the table didn't have is null. UserError where the stage isn't finished, was
-        made from inputs that were replaced since, or was run again after this run was opened, and for a table of
-        another major version.
+        A column that may be null, and that an older version of the table didn't have, is null. UserError where the
+        stage isn't finished, was made from inputs that were replaced since, or was run again after this run was opened,
+        and for a table of another major version.
         """
         of = _schema(stage, table)
         if (stage, table) not in self._tables:
             self._check(stage)
-            frame = read_table(self.folder / stage / f"{table}.parquet", of, older_is_complete=True)
+            frame = read_table(self.folder / stage / f"{table}.parquet", of)
             self._refuse_replaced(stage)
             self._tables[stage, table] = frame
         return self._tables[stage, table].copy()

@@ -237,11 +237,10 @@ def users(scene: SceneInputs) -> Grid | None:
 
 
 def walks(scene: SceneInputs) -> Grid | None:
-    """What each model alone is worth on each test walk, or in each appearance of a simulated scene."""
-    by, scores = by_walk(scene)
-    heads = f"model | {by} | frames | answered | median ({scene.unit.symbol}) | median (°) | frames of class A, B | "
+    """What each model alone is worth on each test walk."""
+    heads = f"model | test walk | frames | answered | median ({scene.unit.symbol}) | median (°) | "
     rows = []
-    for (model, walk), s in scores.items():
+    for (model, walk), s in by_walk(scene).items():
         errors = [number(error, digits_of(error)) for error in (s.median_m, s.median_deg)]
         levels = [number(value, 1) for value in (s.high, s.medium, s.low)]
         rows.append([scene.label(model), walk, s.frames, s.answered, *errors, s.certain, *levels])
@@ -250,10 +249,8 @@ def walks(scene: SceneInputs) -> Grid | None:
         "failed. Levels: within 0.25 m and 2°, 0.5 m and 5°, 5 m and 10°, of the frames whose ground truth is of "
         "quality class A or B."
     )
-    if by == "appearance":
-        caption += " The walks are the same in each appearance, pose by pose; training frames are of appearance same."
-    heads += " | ".join(f"{level} (%)" for level in LEVELS)
-    return plain_grid(f"walks-{scene.name}", f"Errors by {by}", caption, heads, rows, 2)
+    heads += "frames of class A, B | " + " | ".join(f"{level} (%)" for level in LEVELS)
+    return plain_grid(f"walks-{scene.name}", "Errors by test walk", caption, heads, rows, 2)
 
 
 def drift(scene: SceneInputs) -> Grid | None:

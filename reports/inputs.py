@@ -13,7 +13,7 @@ from groundwalk.geometry.poses import Array
 from groundwalk.reports.published import PAPER_METHOD
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.store import StageRun
-from groundwalk.store.choices import Appearance, MapUnit, PoseSource
+from groundwalk.store.choices import MapUnit, PoseSource
 from groundwalk.store.files import STOPPED, partial_folder, read_json
 from groundwalk.store.georeference import FILE, read_georeference
 from groundwalk.store.schemas import schema
@@ -34,14 +34,6 @@ ENOUGH_TRAINING_FRAMES = 100
 # A test frame this close in time to a training frame of its walk shows nearly the same picture.
 LEAK_S = 5.0
 MAX_NEAR_COPIES = 0.05
-
-# What the test walks of a simulated scene see, in words.
-_APPEARANCES = {
-    Appearance.SAME: "in the training walks' light",
-    Appearance.OTHER_HOUR: "at another hour",
-    Appearance.EVENING: "in the evening",
-    Appearance.OTHER_MONTH: "in another month",
-}
 
 
 @dataclass(frozen=True)
@@ -117,12 +109,6 @@ class SceneInputs:
     def evaluated_splits(self) -> str:
         """What frames the tables sweep and intervals of fuse are over, in words."""
         return in_words(dict.fromkeys(self.errors["split"]))
-
-    @property
-    def test_appearances(self) -> list[Appearance]:
-        """What the test walks of a simulated scene see, each once."""
-        seen = self.sessions.loc[self.sessions["split"] != "train", "appearance"].dropna()
-        return [appearance for appearance in Appearance if appearance in set(seen)]
 
     @property
     def uncertain_frames(self) -> int:
@@ -231,8 +217,7 @@ class SceneInputs:
 
     def marker(self) -> str:
         """What must stand by every number of this scene."""
-        light = ", ".join(_APPEARANCES[appearance] for appearance in self.test_appearances)
-        kind = f"simulated, test walks {light}" if self.simulated else "real capture"
+        kind = "simulated, test walks in the training walks' light" if self.simulated else "real capture"
         facts = [kind, f"{self.profile} profile", f"seed {self.seed}", f"{len(self.frames)} frames"]
         vertical = "" if has_vertical(self.ground_truth) else "NO VERTICAL: the map's +y may point anywhere"
         return ", ".join([*facts, *filter(None, [scale_warning(self.unit), vertical])])

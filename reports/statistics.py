@@ -72,19 +72,14 @@ def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dic
     return rows
 
 
-def by_walk(scene: SceneInputs) -> tuple[str, dict[tuple[str, str], Score]]:
-    """What each model alone scores over the test frames of each test walk or, where the test walks of a simulated scene
-    were taken in several appearances, of each of these: what they were told apart by, and scores by (model, walk)."""
-    appearances = scene.test_appearances
-    by = "appearance" if len(appearances) > 1 else "test walk"
-    seen = scene.sessions.set_index("session_id")["appearance"]
+def by_walk(scene: SceneInputs) -> dict[tuple[str, str], Score]:
+    """What each model alone scores over the test frames of each test walk, by (model, walk)."""
     errors = scene.errors[scene.errors["split"] == "test"].drop_duplicates(["model", "frame_id"])
-    walks = errors["session_id"].map(seen) if len(appearances) > 1 else errors["session_id"]
-    groups = [str(appearance) for appearance in appearances] if len(appearances) > 1 else sorted(set(walks))
-    return by, {
+    walks = errors["session_id"]
+    return {
         (model, walk): _scored(errors[(errors["model"] == model) & (walks == walk)], "raw_")
         for model in scene.models
-        for walk in groups
+        for walk in sorted(set(walks))
     }
 
 

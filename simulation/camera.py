@@ -82,11 +82,8 @@ def focus_breathing(t_s: Array, settings: SimulateSettings, rng: np.random.Gener
     return 1 + amplitude * np.sin(2 * math.pi / _BREATH_S * t_s + phase)
 
 
-def auto_exposure(
-    brightness: Array, step_s: float, indoor: bool, rng: np.random.Generator, longer: float = 1.0
-) -> list[Exposure]:
-    """Exposures that follow the mean grey level (N,), sampled each step_s, with the lag of a real loop; they are
-    `longer` times those by day for the same grey level."""
+def auto_exposure(brightness: Array, step_s: float, indoor: bool, rng: np.random.Generator) -> list[Exposure]:
+    """Exposures that follow the mean grey level (N,), sampled each step_s, with the lag of a real loop."""
     wish = np.log(_TARGET / np.maximum(brightness, 8)) * 0.75
     keep = math.exp(-step_s / _LAG_S)
     log_gain, _ = lfilter([1 - keep], [1, -keep], wish, zi=[keep * wish[0]])
@@ -95,7 +92,7 @@ def auto_exposure(
     base_s = _MAX_EXPOSURE_S * (0.75 if indoor else 0.3)
     exposures = []
     for value in log_gain:
-        light = longer * math.exp(2 * value)  # display values go with the root of light
+        light = math.exp(2 * value)  # display values go with the root of light
         duration = min(base_s * light, _MAX_EXPOSURE_S)
         amplified = base_s * light / duration
         noise = (2.2 if indoor else 1.3) * math.sqrt(amplified)

@@ -22,21 +22,16 @@ _FONTS = (
 class Canvas:
     """An 8-bit BGR image addressed in metres: x to the right and y up from the bottom left corner.
 
-    `image` is (H, W, 3); `rng` is the only source of chance, so a canvas painted twice is the same twice. `glow`
-    (H, W) is the display brightness of what shines by itself, None where `lit`, that of lit windows, is 0.
+    `image` is (H, W, 3); `rng` is the only source of chance, so a canvas painted twice is the same twice.
     """
 
-    def __init__(
-        self, width_m: float, height_m: float, texel_m: float, rng: np.random.Generator, lit: float = 0.0
-    ) -> None:
+    def __init__(self, width_m: float, height_m: float, texel_m: float, rng: np.random.Generator) -> None:
         self.width_m = width_m
         self.height_m = height_m
         self.texel_m = texel_m
         self.rng = rng
         shape = (max(4, round(height_m / texel_m)), max(4, round(width_m / texel_m)))
         self.image = np.full((*shape, 3), 128, np.uint8)
-        self._lit = lit
-        self.glow = np.zeros(shape, np.float32) if lit else None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -96,12 +91,6 @@ class Canvas:
         """A filled rectangle, x0..x1 by y0..y1 metres."""
         (c0, r1), (c1, r0) = self.px(x0, y0), self.px(x1, y1)
         self.image[max(r0, 0) : max(r1, 0), max(c0, 0) : max(c1, 0)] = _byte(colour)
-
-    def window(self, x0: float, y0: float, x1: float, y1: float) -> None:
-        """A window's panes, behind which a light is on in some evenings' rooms: in two of five."""
-        if self.glow is not None and (37 * round(10 * x0) + 53 * round(10 * y0)) % 5 < 2:
-            (c0, r1), (c1, r0) = self.px(x0, y0), self.px(x1, y1)
-            self.glow[max(r0, 0) : max(r1, 0), max(c0, 0) : max(c1, 0)] = self._lit
 
     def polygon(self, points_m: Sequence[tuple[float, float]], colour: Bgr) -> None:
         """A filled polygon."""

@@ -54,7 +54,6 @@ def window(c: Canvas, x: float, y: float, w: float, h: float, frame: Bgr, same: 
     c.box(x, y, x + w, y + h, frame)
     dark = rng.uniform(25, 75)
     c.box(x + t, y + t, x + w - t, y + h - t, (dark * 1.2, dark * 1.05, dark))
-    c.window(x + t, y + t, x + w - t, y + h - t)
     sky = rng.uniform(90, 170)
     slope = rng.uniform(0.2, 0.8)
     c.polygon(

@@ -13,7 +13,7 @@ from groundwalk.store.settings import DataRoot, resolve_settings
 from groundwalk.store.simulated import SIMULATED_MARKER, marker_of, simulated_files
 from groundwalk.store.text import name_list
 
-VERSION = 4  # goes up when the same settings give other captures
+VERSION = 5  # goes up when the same settings give other captures
 
 
 def key_of(scene: str, settings: SimulateSettings, seed: int) -> tuple[str, dict[str, Any]]:

@@ -13,31 +13,31 @@ _LIFT_M = 0.01
 
 
 def light_on_quad(quad: Quad, light: Light, caster: Caster) -> NDArray[np.float32]:
-    """Brightness (rows, columns, BGR) of a quad's picture, top row first, one sample each SPACING_M or less."""
+    """Brightness (rows, columns) of a quad's picture, top row first, one sample each SPACING_M or less."""
     rows = max(2, round(quad.height_m / SPACING_M))
     columns = max(2, round(quad.width_m / SPACING_M))
     t = 1 - (np.arange(rows) + 0.5) / rows
     s = (np.arange(columns) + 0.5) / columns
     points = quad.corner + s[None, :, None] * quad.right + t[:, None, None] * quad.up
     normals = np.broadcast_to(quad.normal, (rows * columns, 3))
-    return brightness(points.reshape(-1, 3), normals, light, caster).reshape(rows, columns, 3)
+    return brightness(points.reshape(-1, 3), normals, light, caster).reshape(rows, columns)
 
 
 def brightness(points_N3: Vec, normals_N3: Vec, light: Light, caster: Caster) -> NDArray[np.float32]:
-    """How bright a white surface looks (N, BGR), 1 meaning 'as painted'."""
+    """How bright a white surface looks (N,), 1 meaning 'as painted'."""
     start = points_N3 + _LIFT_M * normals_N3
-    total = np.outer(light.ambient * (0.35 + 0.65 * _open_sky(start, normals_N3, caster)), light.ambient_bgr)
+    total = light.ambient * (0.35 + 0.65 * _open_sky(start, normals_N3, caster))
     if light.sun is not None:
         towards = np.array(light.sun) / np.linalg.norm(light.sun)
         facing = np.maximum(normals_N3 @ towards, 0)
         dark = caster.blocked(_rays(start, np.broadcast_to(towards, start.shape)), np.inf)
-        total += np.outer(light.sun_strength * facing * ~dark, light.sun_bgr)
+        total += light.sun_strength * facing * ~dark
     for position, strength in light.lamps:
         way = np.array(position) - start
         distance = np.linalg.norm(way, axis=1)
         facing = np.maximum(np.einsum("ij,ij->i", normals_N3, way) / distance, 0)
         dark = caster.blocked(_rays(start, way), 0.98)
-        total += np.outer(strength * (0.25 + 0.75 * facing) * ~dark / np.maximum(distance, 0.7), light.lamp_bgr)
+        total += strength * (0.25 + 0.75 * facing) * ~dark / np.maximum(distance, 0.7)
     return total.astype(np.float32)
 
 

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from groundwalk.simulation import atlas
 from groundwalk.simulation.canvas import Canvas
 from groundwalk.simulation.lighting import brightness, light_on_quad
-from groundwalk.simulation.place import Crown, Light, Place, Quad, Vec
+from groundwalk.simulation.place import Crown, Place, Quad, Vec
 from groundwalk.simulation.raycast import Caster
 from groundwalk.simulation.textured_mesh import TexturedMesh
 
-_WINDOW_BGR = (0.6, 0.85, 1.0)  # lamplight
 Track = Callable[[Iterable[Quad | Crown], str], Iterable[Quad | Crown]]
 
 
@@ -46,14 +45,16 @@ def build_mesh(place: Place, texel_m: float, seed: int, track: Track = lambda it
     a, b, box, tint, surface = [], [], [], [], []
     for i, thing in enumerate(track(things, "painting surfaces")):
         rng = np.random.default_rng([seed, zlib.crc32(place.name.encode()), zlib.crc32(thing.name.encode())])
-        canvas = _paint(thing, texel_m, rng, place.light)
-        picture = canvas.image
+        picture = _painted(thing, texel_m, rng)
         h, w = picture.shape[:2]
         if isinstance(thing, Quad):
             if not thing.glass:
-                picture = _lit(canvas, _light_on(thing, place.light, caster))
+                # Display values go with about the square root of light.
+                root = np.sqrt(light_on_quad(thing, place.light, caster))
+                gain = cv2.resize(root, (w, h), interpolation=cv2.INTER_LINEAR)
+                picture = np.clip(picture * gain[..., None], 0, 255).astype(np.uint8)
             maps, count = _quad_map(thing, w, h), 2
-            shade = np.ones((2, 3))
+            shade = np.ones(2)
         else:
             count = len(thing.triangles_T33)
             maps = _crown_map(thing, texel_m, w, rng)
@@ -71,7 +72,7 @@ def build_mesh(place: Place, texel_m: float, seed: int, track: Track = lambda it
         texel_a_T23=np.concatenate(a),
         texel_b_T2=np.concatenate(b),
         box_T4=np.concatenate(box).astype(np.float32),
-        tint_T3=np.concatenate(tint).astype(np.float32),
+        tint_T=np.concatenate(tint).astype(np.float32),
         surface_T=np.concatenate(surface).astype(np.int32),
         glass_T=glass,
         atlas_shape=np.array([height, width]),
@@ -91,26 +92,11 @@ def _size(thing: Quad | Crown, texel_m: float) -> tuple[int, int]:
     return Canvas(w, h, texel, np.random.default_rng(0)).shape
 
 
-def _paint(thing: Quad | Crown, texel_m: float, rng: np.random.Generator, light: Light) -> Canvas:
+def _painted(thing: Quad | Crown, texel_m: float, rng: np.random.Generator) -> NDArray[np.uint8]:
     w, h, texel = _metres(thing, texel_m)
-    canvas = Canvas(w, h, texel, rng, light.windows)
+    canvas = Canvas(w, h, texel, rng)
     thing.paint(canvas)
-    return canvas
-
-
-def _light_on(quad: Quad, light: Light, caster: Caster) -> NDArray[np.float32]:
-    if quad.glow is not None:
-        return np.full((2, 2, 3), quad.glow, np.float32) * np.asarray(light.lamp_bgr, np.float32)
-    return light_on_quad(quad, light, caster)
-
-
-def _lit(canvas: Canvas, light: NDArray[np.float32]) -> NDArray[np.uint8]:
-    h, w = canvas.shape
-    # Display values go with about the square root of light.
-    gain = [cv2.resize(root, (w, h), interpolation=cv2.INTER_LINEAR) for root in np.moveaxis(np.sqrt(light), 2, 0)]
-    if canvas.glow is not None:
-        gain = [np.maximum(g, canvas.glow * np.float32(tone)) for g, tone in zip(gain, _WINDOW_BGR, strict=True)]
-    return np.clip(canvas.image * np.stack(gain, axis=-1), 0, 255).astype(np.uint8)
+    return canvas.image
 
 
 def _quad_map(quad: Quad, width: int, height: int) -> tuple[Vec, Vec]:
@@ -136,7 +122,7 @@ def _crown_map(crown: Crown, texel_m: float, size: int, rng: np.random.Generator
 
 
 def _crown_shade(crown: Crown, place: Place, caster: Caster) -> Vec:
-    """Tints (T, BGR)."""
+    """Tints (T,)."""
     p = crown.triangles_T33
     normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

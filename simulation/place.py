@@ -10,20 +10,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.simulation.canvas import Bgr, Material
+from groundwalk.simulation.canvas import Material
 
 Vec = NDArray[np.float64]
 Xz = tuple[float, float]
 UP: Vec = np.array([0.0, 1.0, 0.0])
-WHITE: Bgr = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
 class Quad:
     """A textured rectangle: its lower left corner, its sides as vectors, and who paints it.
 
-    `texel` multiplies the texture's texel size (2 = half as fine). `glass` is seen through and mirrors. `glow` is the
-    brightness of a lamp's surface, whatever falls on it.
+    `texel` multiplies the texture's texel size (2 = half as fine). `glass` is seen through and mirrors.
     """
 
     name: str
@@ -33,7 +31,6 @@ class Quad:
     paint: Material
     texel: float = 1.0
     glass: bool = False
-    glow: float | None = None
 
     @property
     def width_m(self) -> float:
@@ -69,53 +66,22 @@ class Obstacle:
 
 @dataclass(frozen=True)
 class Light:
-    """Where light comes from; strengths are in display brightness (1 = textures as painted), colours factors of them.
+    """Where light comes from; strengths are in display brightness (1 = textures as painted).
 
-    `sun` is the direction towards it, or None; `lamps` are (position, strength at 1 m). `exposure` is how many times as
-    long a camera exposes as by full day for the same display brightness. `windows` is the display brightness of lit
-    rooms behind windows, 0 by day.
+    `sun` is the direction towards it, or None; `lamps` are (position, strength at 1 m).
     """
 
     ambient: float = 0.6
     sun: tuple[float, float, float] | None = None
     sun_strength: float = 0.55
     lamps: tuple[tuple[tuple[float, float, float], float], ...] = ()
-    ambient_bgr: Bgr = WHITE
-    sun_bgr: Bgr = WHITE
-    lamp_bgr: Bgr = WHITE
-    exposure: float = 1.0
-    windows: float = 0.0
-
-
-@dataclass(frozen=True)
-class SkyLook:
-    """Colours of the sky overhead, at the horizon and of clouds, and the fraction that these cover on average."""
-
-    zenith: Bgr = (235, 190, 150)
-    horizon: Bgr = (240, 232, 225)
-    cloud: Bgr = (244, 244, 244)
-    cover: float = 0.35
-
-
-DAY_SKY = SkyLook()
-
-
-@dataclass(frozen=True)
-class Movable:
-    """What can be carried or driven off: which of a place's quads, crowns and obstacles it is made of."""
-
-    name: str
-    quads: slice
-    crowns: slice
-    obstacles: slice
 
 
 @dataclass
 class Place:
     """All that can be seen and bumped into. `low` and `high` bound where a camera may be.
 
-    `texel` multiplies the texel size of every picture: below 1 for rooms, whose walls are seen from near. `lanterns`
-    names the surfaces of street lamps and where their light comes from.
+    `texel` multiplies the texel size of every picture: below 1 for rooms, whose walls are seen from near.
     """
 
     name: str
@@ -126,9 +92,6 @@ class Place:
     quads: list[Quad] = field(default_factory=list)
     crowns: list[Crown] = field(default_factory=list)
     obstacles: list[Obstacle] = field(default_factory=list)
-    movables: list[Movable] = field(default_factory=list)
-    lanterns: dict[str, tuple[float, float, float]] = field(default_factory=dict)
-    sky: SkyLook = DAY_SKY
 
     def clearance_m(self, xyz_N3: Vec) -> Vec:
         """Distance (N,) of points to the nearest obstacle or bound; negative inside an obstacle or out of bounds."""
@@ -161,8 +124,7 @@ class Route:
 
 @dataclass(frozen=True)
 class SceneryPlan:
-    """A place, the course of the walks through it, and the name of the folder where its mesh is kept."""
+    """A place, and the course of the walks through it."""
 
     place: Place
     route: Route
-    mesh: str = "mesh"

@@ -17,19 +17,11 @@ NOTHING = -1
 @functools.cache
 def _open3d() -> Any:
     """The open3d module; UserError where it, or the libusb that it links, can't be loaded."""
-    if sys.platform == "linux":
-        try:
+    try:
+        if sys.platform == "linux":
             import libusb_package
 
             ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-        except (ImportError, OSError) as error:
-            raise UserError(
-                "the ray caster's library libusb-1.0 can't be loaded",
-                found=error,
-                expected="the Python package libusb-package, which ships it",
-                do="install the project's dependencies again (make clean-venv, or pip install -e .)",
-            ) from None
-    try:
         import open3d
     except (ImportError, OSError) as error:
         raise UserError("open3d can't be loaded", found=error, do="pip install -c constraints.txt -e .") from None

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
 from groundwalk.simulation import atlas
-from groundwalk.simulation.place import DAY_SKY, SkyLook
 from groundwalk.simulation.raycast import NOTHING, Caster, Hits
 from groundwalk.simulation.textured_mesh import TexturedMesh
 from groundwalk.simulation.view import F32, Rendering, View, turned
@@ -18,13 +17,14 @@ _BLUR_PER_TAP = 1.4  # a tap covers this much of the footprint's length in units
 _PANES = 3  # glass layers followed
 _GLASS_TINT = np.array([0.90, 0.93, 0.87], np.float32)
 _MAP_COLUMNS = 2048
+_ZENITH, _HORIZON, _CLOUD = (np.array(bgr, np.float32) for bgr in ((235, 190, 150), (240, 232, 225), (244, 244, 244)))
 _DEPTH_EDGE = 0.06
 
 
 class Sky:
     """A gradient with soft clouds that drift: nothing sharp enough to be taken for a landmark."""
 
-    def __init__(self, seed: int, clock_s: float = 0.0, look: SkyLook = DAY_SKY) -> None:
+    def __init__(self, seed: int, clock_s: float = 0.0) -> None:
         rng = np.random.default_rng(seed)
         rows, columns = 128, 512
         field = np.zeros((rows, columns), np.float32)
@@ -33,10 +33,9 @@ class Sky:
             wide = cv2.resize(np.hstack([grid, grid, grid]), (3 * columns, rows), interpolation=cv2.INTER_CUBIC)
             field += np.float32(gain) * wide[:, columns : 2 * columns]
         up = np.linspace(1, 0, rows, dtype=np.float32)[:, None, None] ** 0.6
-        zenith, horizon, white = (np.array(bgr, np.float32) for bgr in (look.zenith, look.horizon, look.cloud))
-        colour = up * zenith + (1 - up) * horizon
-        cloud = np.clip(look.cover + 0.3 * field, 0, 0.8)[..., None]
-        self._map = ((1 - cloud) * colour + cloud * white).astype(np.float32)
+        colour = up * _ZENITH + (1 - up) * _HORIZON
+        cloud = np.clip(0.35 + 0.3 * field, 0, 0.8)[..., None]
+        self._map = ((1 - cloud) * colour + cloud * _CLOUD).astype(np.float32)
         self._turn = 0.0008 * clock_s
 
     def colour(self, directions_N3: F32) -> F32:
@@ -131,7 +130,7 @@ class Renderer:
                 at_v = v[group] + along * long_v[group]
                 total += self._texel(box[group], at_u, at_v, level[group])
             colour[group] = total / n
-        return colour * self._mesh.tint_T3[triangle]
+        return colour * self._mesh.tint_T[triangle, None]
 
     def _texel(self, box_N4: F32, u: F32, v: F32, level: F32) -> F32:
         """Atlas colours at picture texels (u, v), interpolated between texels and between the two nearest levels."""
@@ -167,7 +166,7 @@ class Renderer:
         across = (hits.distance + far.distance)[seen] / np.float32(look.focal) * 1.5
         size = across * np.linalg.norm(a[:, 0], axis=1)
         level = np.clip(np.log2(np.maximum(size, 1e-6)), 0, atlas.LEVELS - 1.001).astype(np.float32)
-        tint = self._mesh.tint_T3[triangle]
+        tint = self._mesh.tint_T[triangle, None]
         colour[seen] = tint * self._texel(self._mesh.box_T4[triangle], texel[:, 0], texel[:, 1], level)
         return colour, fraction.astype(np.float32)
 

@@ -12,13 +12,12 @@ from groundwalk.geometry.poses import inverse
 from groundwalk.simulation import camera
 from groundwalk.simulation.camera import Exposure, Phone
 from groundwalk.simulation.capture import FRAME, SessionFrames
-from groundwalk.simulation.place import SceneryPlan, SkyLook, Vec
+from groundwalk.simulation.place import SceneryPlan, Vec
 from groundwalk.simulation.render import Renderer, Sky
 from groundwalk.simulation.settings import JPEG_QUALITY, MAX_SESSION_S, SimulateSettings
 from groundwalk.simulation.view import View, row_times, shutter
 from groundwalk.simulation.vio import simulate_vio
 from groundwalk.simulation.walks import PlannedWalk, plan_walk
-from groundwalk.store.choices import Appearance
 from groundwalk.store.files import written_aside
 
 _METER_PX = (32, 24)  # size of the image for auto exposure
@@ -29,33 +28,25 @@ _MOTION_S = 0.01
 
 @dataclass(frozen=True)
 class SessionOutline:
-    """A session's place in the plan: its name, number of images, preferred side of the course and start on it, when the
-    phone was started, and what is seen on it."""
+    """A session's place in the plan: its name, number of images, preferred side of the course and start on it, and when
+    the phone was started."""
 
     name: str
     images: int
     side: float
     start: float
     boot_s: float
-    appearance: Appearance = Appearance.SAME
-
-    @property
-    def walk(self) -> str:
-        """The walk's name: sessions of one walk differ in their appearance alone."""
-        return self.name.removesuffix(f"-{self.appearance}")
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One image to render: everything that a worker needs. `mesh` is the name of the mesh's folder."""
+    """One image to render: everything that a worker needs."""
 
     path: Path
-    mesh: str
     view: View
     velocity_cam: Vec
     spin_cam: Vec
     exposure: Exposure
-    sky: SkyLook
     sky_seed: int
     clock_s: float
     noise_seed: int
@@ -75,9 +66,8 @@ class Truth:
 
 @dataclass(frozen=True)
 class SimulatedSession:
-    """A planned session: what is seen on it, what is written as JSON, the truth, and the images to render."""
+    """A planned session: what is written as JSON, the truth, and the images to render."""
 
-    appearance: Appearance
     frames: SessionFrames
     truth: Truth
     shots: list[Shot]
@@ -89,15 +79,13 @@ class SimulatedSession:
 
 
 def outline(settings: SimulateSettings, scene: str, seed: int) -> list[SessionOutline]:
-    """The sessions of a scene: training walks spread over the course's width, test walks between them, hours apart.
-
-    Each test walk is there once in each appearance."""
+    """The sessions of a scene: training walks spread over the course's width, test walks between them, hours apart."""
     rng = np.random.default_rng([seed, zlib.crc32(scene.encode())])
     boot = rng.uniform(15_000, 40_000)
     sessions = []
-    for kind, frames, min_sessions, appearances in (
-        ("train", settings.train_frames, settings.train_sessions, (Appearance.SAME,)),
-        ("test", settings.test_frames, settings.test_sessions, settings.appearances),
+    for kind, frames, min_sessions in (
+        ("train", settings.train_frames, settings.train_sessions),
+        ("test", settings.test_frames, settings.test_sessions),
     ):
         total = max(2, round(settings.frame_fraction * frames))
         count = max(min_sessions, math.ceil(total / settings.image_hz / MAX_SESSION_S))
@@ -106,10 +94,7 @@ def outline(settings: SimulateSettings, scene: str, seed: int) -> list[SessionOu
             reach = 1.0 if kind == "train" else 0.6
             side = reach * (2 * k / (count - 1) - 1) if count > 1 else 0.0
             start = (k + float(rng.uniform(0, 0.6))) / count
-            walk = f"{kind}-{k + 1}"
-            for appearance in appearances:
-                name = walk if appearance == appearances[0] else f"{walk}-{appearance}"
-                sessions.append(SessionOutline(name, images, side, start, boot, appearance))
+            sessions.append(SessionOutline(f"{kind}-{k + 1}", images, side, start, boot))
             boot += images / settings.image_hz + rng.uniform(2, 6) * 3600
     return sessions
 
@@ -124,7 +109,7 @@ def plan_session(
     seed: int,
 ) -> SimulatedSession:
     """Walk, VIO and exposures: all of a session but its images, which go to `folder`."""
-    seeds = np.random.SeedSequence([seed, zlib.crc32(f"{scenery.place.name}/{plan.walk}".encode())])
+    seeds = np.random.SeedSequence([seed, zlib.crc32(f"{scenery.place.name}/{plan.name}".encode())])
     walk_seed, focus_seed, light_seed, time_seed, breath_seed = (np.random.default_rng(s) for s in seeds.spawn(5))
     every = max(1, round(settings.rate_hz / settings.image_hz))
     count = plan.images * every
@@ -139,9 +124,9 @@ def plan_session(
 
     meter_t = np.arange(0, duration + _METER_STEP_S, _METER_STEP_S)
     place = scenery.place
-    grey = _meter(renderer, walk.world_T_cam(meter_t), Sky(sky_seed, plan.boot_s, place.sky))
+    grey = _meter(renderer, walk.world_T_cam(meter_t), Sky(sky_seed, plan.boot_s))
     brightness = np.interp(t, meter_t, grey)
-    exposures = camera.auto_exposure(brightness, 1 / settings.rate_hz, indoor, light_seed, place.light.exposure)
+    exposures = camera.auto_exposure(brightness, 1 / settings.rate_hz, indoor, light_seed)
 
     t_ns = np.array([round(v * 1e9) for v in time_s], np.int64)
     vio = simulate_vio(t_ns, walk.world_T_cam(t), int(seeds.generate_state(2)[1]))
@@ -151,7 +136,6 @@ def plan_session(
         vio_T_cam=vio.vio_T_cam,
         intrinsics_N4=logged,
         exposure_s=np.array([e.duration_s for e in exposures]),
-        noise=np.array([e.noise for e in exposures]),
         width=settings.width,
         height=settings.height,
         image_every=every,
@@ -160,19 +144,17 @@ def plan_session(
     shots = [
         Shot(
             path=folder / f"{FRAME.format(i)}.jpg",
-            mesh=scenery.mesh,
             view=_view(truth, i, walk, t[i], settings),
             velocity_cam=truth.velocity_cam_N3[i],
             spin_cam=truth.spin_cam_N3[i],
             exposure=exposures[i],
-            sky=place.sky,
             sky_seed=sky_seed,
             clock_s=float(t[i]),
             noise_seed=zlib.crc32(f"{seed}/{place.name}/{plan.name}/{i}".encode()),
         )
         for i in frames.image_indices
     ]
-    return SimulatedSession(plan.appearance, frames, truth, shots)
+    return SimulatedSession(frames, truth, shots)
 
 
 def _frame_times(count: int, rate_hz: float, rng: np.random.Generator) -> Vec:
@@ -204,7 +186,7 @@ def _view(truth: Truth, i: int, walk: PlannedWalk, t: float, settings: SimulateS
 
 def take(shot: Shot, renderer: Renderer, settings: SimulateSettings) -> None:
     """Render, expose and write one image, whole or not at all."""
-    sharp = renderer.render(shot.view, Sky(shot.sky_seed, shot.clock_s, shot.sky), settings.supersampling)
+    sharp = renderer.render(shot.view, Sky(shot.sky_seed, shot.clock_s), settings.supersampling)
     rng = np.random.default_rng(shot.noise_seed)
     image = camera.expose(sharp, shot.view, shot.velocity_cam, shot.spin_cam, shot.exposure, rng)
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])

@@ -6,7 +6,6 @@ from pydantic import BeforeValidator, Field, field_validator
 from pydantic_core import PydanticCustomError
 
 from groundwalk.store import Settings
-from groundwalk.store.choices import Appearance
 
 Drawn = Literal["drawn"]
 JPEG_QUALITY = 90
@@ -50,13 +49,6 @@ class SimulateSettings(Settings):
     focus_breathing: Annotated[float | Drawn, _between(0, 0.02)] = Field(
         "drawn", description='largest error of the logged focal length, as a fraction; "drawn": 0 to 0.003, by session'
     )
-    appearances: tuple[Appearance, ...] = Field(
-        (Appearance.SAME,),
-        min_length=1,
-        description="what the test walks see, beside the training walks, each walk once in each: same; other_hour: sun "
-        "elsewhere; evening: low warm sun, artificial light, noise; other_month: overcast, other foliage and ground, a "
-        "fifth of the movable objects moved, removed or new",
-    )
 
     @property
     def height(self) -> int:
@@ -69,10 +61,3 @@ class SimulateSettings(Settings):
         if lens != "drawn" and not all(-1 <= k <= 1 for k in lens):
             raise PydanticCustomError("lens", 'should be three numbers from -1 to 1, or "drawn"')
         return lens
-
-    @field_validator("appearances")
-    @classmethod
-    def _refuse_twice(cls, appearances: tuple[Appearance, ...]) -> tuple[Appearance, ...]:
-        if len(set(appearances)) < len(appearances):
-            raise PydanticCustomError("twice", "should name each appearance once")
-        return appearances

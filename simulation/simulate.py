@@ -5,23 +5,19 @@ import multiprocessing
 import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import pandas as pd
 
-from groundwalk.simulation.appearance import seen_as
 from groundwalk.simulation.capture import write_frames
 from groundwalk.simulation.existing import is_made, key_of, written_files
 from groundwalk.simulation.mesh import build_mesh
-from groundwalk.simulation.place import SceneryPlan
 from groundwalk.simulation.render import Renderer
 from groundwalk.simulation.scenes import NAMES, scenery
 from groundwalk.simulation.session import Shot, SimulatedSession, outline, plan_session, take
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.textured_mesh import TexturedMesh, is_saved
 from groundwalk.store import DataRoot, UserError
-from groundwalk.store.choices import Appearance
 from groundwalk.store.files import partial_folder, swap_in, write_json
 from groundwalk.store.hints import link_command
 from groundwalk.store.locks import locked
@@ -33,6 +29,8 @@ from groundwalk.store.settings import resolve_settings
 from groundwalk.store.signals import signals_held_from_workers
 from groundwalk.store.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES
 from groundwalk.store.tables import pose_frame, write_table
+
+_MESH = "mesh"
 
 
 def simulate(
@@ -65,10 +63,6 @@ def simulate(
         if is_made(final, key) and not force:
             console.print(f"{title}: up to date")
             return final
-        reduced = _reduced(settings, data, scene)
-        if reduced:
-            smaller = ", ".join(f"{name} {here} instead of {full}" for name, (here, full) in reduced.items())
-            console.print(f"  smaller than in profile paper: {smaller}")
         sessions: list[SimulatedSession] = []
 
         def attempt() -> None:
@@ -84,20 +78,9 @@ def simulate(
             "key": key,
             "what": "Simulated capture: a procedural place rendered by simulation/, not a recording of a real one.",
             "profile": profile,
-            "environment": config.environment,
-            "extent_m": config.extent_m,
-            "reduced": {name: {"here": here, "paper": full} for name, (here, full) in reduced.items()},
-            "sessions": {
-                s.frames.name: {
-                    "poses": len(s.frames.time_s),
-                    "images": len(s.shots),
-                    "appearance": s.appearance.value,
-                }
-                for s in sessions
-            },
+            "sessions": {s.frames.name: {"poses": len(s.frames.time_s), "images": len(s.shots)} for s in sessions},
         }
-        for mesh in {shot.mesh for session in sessions for shot in session.shots}:
-            shutil.rmtree(work / mesh)
+        shutil.rmtree(work / _MESH)
         write_json(work / SIMULATED_MARKER, content)
         swap_in(work, final, written_files)
     images = sum(len(s.shots) for s in sessions)
@@ -106,44 +89,36 @@ def simulate(
 
 
 def plan_sessions(
-    scene: str, settings: SimulateSettings, indoor: bool, work: Path, seed: int, *, test_only: bool = False
+    scene: str, settings: SimulateSettings, indoor: bool, work: Path, seed: int
 ) -> list[SimulatedSession]:
-    """Every session of the scene, or those of its test walks; the place as each of them sees it is left painted in
-    folders of `work` for the renderers."""
-    outlines = [o for o in outline(settings, scene, seed) if not (test_only and o.walk.startswith("train"))]
-    plans, renderers = {}, {}
-    for appearance in dict.fromkeys(o.appearance for o in outlines):
-        plan = scenery(scene, seed)
-        if appearance != Appearance.SAME:
-            plan = SceneryPlan(seen_as(appearance, plan.place, plan.route, seed), plan.route, f"mesh-{appearance}")
-        plans[appearance] = plan
-        if not is_saved(work / plan.mesh):
-            build_mesh(plan.place, settings.texel_m, seed, track).save(work / plan.mesh)
-        renderers[appearance] = Renderer(TexturedMesh.load(work / plan.mesh))
-    sessions = []
+    """Every session of the scene; the place is left painted in `work` for the renderers."""
+    plan, mesh = scenery(scene, seed), work / _MESH
+    if not is_saved(mesh):
+        build_mesh(plan.place, settings.texel_m, seed, track).save(mesh)
+    renderer = Renderer(TexturedMesh.load(mesh))
     with single_threaded_opencv():
-        for item in track(outlines, "walking and measuring light"):
-            plan, renderer = plans[item.appearance], renderers[item.appearance]
-            sessions.append(plan_session(item, plan, settings, indoor, renderer, work / item.name, seed))
-    return sessions
+        return [
+            plan_session(item, plan, settings, indoor, renderer, work / item.name, seed)
+            for item in track(outline(settings, scene, seed), "walking and measuring light")
+        ]
 
 
-def render_images(shots: list[Shot], settings: SimulateSettings, meshes: Path, processes: int) -> None:
-    """Render all images that aren't there yet; each depends on its shot alone, not on the number of processes. `meshes`
-    is the folder with the shots' meshes."""
+def render_images(shots: list[Shot], settings: SimulateSettings, work: Path, processes: int) -> None:
+    """Render all images that aren't there yet, by the mesh in `work`; each depends on its shot alone, not on the number
+    of processes."""
     for folder in {shot.path.parent for shot in shots}:
         folder.mkdir(exist_ok=True)
     missing = [shot for shot in shots if not shot.path.is_file()]
     if not missing:
         return
     if processes == 1:
-        _start_worker(meshes, settings, cv2.getNumThreads())
+        _start_worker(work, settings, cv2.getNumThreads())
         for shot in track(missing, "rendering images"):
             _work(shot)
         return
     context = multiprocessing.get_context("spawn")
     with signals_held_from_workers():
-        workers = context.Pool(min(processes, len(missing)), _start_worker, (meshes, settings))
+        workers = context.Pool(min(processes, len(missing)), _start_worker, (work, settings))
     with workers as pool:
         for _ in track(pool.imap_unordered(_work, missing), "rendering images", len(missing)):
             pass
@@ -152,12 +127,11 @@ def render_images(shots: list[Shot], settings: SimulateSettings, meshes: Path, p
 _take: Callable[[Shot], None]
 
 
-def _start_worker(meshes: Path, settings: SimulateSettings, threads: int = 1) -> None:
-    """Make a process ready to render shots; each mesh is loaded when a shot asks for it."""
+def _start_worker(work: Path, settings: SimulateSettings, threads: int = 1) -> None:
+    """Make a process ready to render shots."""
     global _take
     cv2.setNumThreads(threads)
-    renderer = functools.cache(lambda mesh: Renderer(TexturedMesh.load(meshes / mesh)))
-    _take = lambda shot: take(shot, renderer(shot.mesh), settings)  # noqa: E731
+    _take = functools.partial(take, renderer=Renderer(TexturedMesh.load(work / _MESH)), settings=settings)
 
 
 def _work(shot: Shot) -> None:
@@ -174,24 +148,6 @@ def write_truth(folder: Path, sessions: Iterable[SimulatedSession]) -> None:
         rows[["fx", "fy", "cx", "cy"]] = truth.intrinsics_N4
         rows[["k1", "k2", "k3"]] = phone.lens.k1, phone.lens.k2, phone.lens.k3
         rows[["readout_s", "time_offset_s"]] = phone.readout_s, phone.time_offset_s
-        rows[[f"velocity_{axis}" for axis in "xyz"]] = truth.velocity_cam_N3
-        rows[[f"spin_{axis}" for axis in "xyz"]] = truth.spin_cam_N3
         cameras.append(rows)
     write_table(folder / TRUE_POSES, pd.concat(poses, ignore_index=True), schema("simulate", "true_poses"))
     write_table(folder / TRUE_CAMERAS, pd.concat(cameras, ignore_index=True), schema("simulate", "true_cameras"))
-
-
-def _reduced(settings: SimulateSettings, data: DataRoot, scene: str) -> dict[str, tuple[Any, Any]]:
-    """What is smaller here than in the paper profile: name -> (here, paper's)."""
-    full = resolve_settings(SimulateSettings, "simulate", data, "paper", scene, [])
-    here: dict[str, tuple[Any, Any]] = {}
-    for kind in ("train", "test"):
-        made = [round(s.frame_fraction * getattr(s, f"{kind}_frames")) for s in (settings, full)]
-        if made[0] < made[1]:
-            here[f"{kind} images"] = (made[0], made[1])
-    sizes = [f"{s.width}x{s.height}" for s in (settings, full)]
-    if settings.width < full.width:
-        here["image size"] = (sizes[0], sizes[1])
-    if settings.texel_m > full.texel_m:
-        here["texel"] = (f"{settings.texel_m} m", f"{full.texel_m} m")
-    return here

@@ -17,7 +17,7 @@ class TexturedMesh:
     """Triangles of a place and how each looks up its colour.
 
     texel = texel_a_T23 @ point + texel_b_T2 maps a world point on triangle t to its picture (x right, y down, texel
-    centres at 0.5); `box_T4` is that picture's place in the atlas (x, y, width, height). `tint_T3` multiplies
+    centres at 0.5); `box_T4` is that picture's place in the atlas (x, y, width, height). `tint_T` multiplies
     colours, `surface_T` tells surfaces apart, `glass_T` marks panes.
     """
 
@@ -26,7 +26,7 @@ class TexturedMesh:
     texel_a_T23: Array
     texel_b_T2: Array
     box_T4: NDArray[np.float32]
-    tint_T3: NDArray[np.float32]
+    tint_T: NDArray[np.float32]
     surface_T: NDArray[np.int32]
     glass_T: NDArray[np.bool_]
     atlas_shape: NDArray[np.int64]

@@ -55,11 +55,6 @@ class RadialDistortion:
         beyond = np.where(radius > last, radius - inner, 0.0) * _MIN_SLOPE
         return inner * (1 + s * (self.k1 + s * (self.k2 + s * self.k3))) + beyond
 
-    def distort(self, xy_N2: Array) -> Array:
-        """Where rays (x, y, 1) are seen: image points (N, 2) about the principal point, in focal lengths."""
-        radius = np.linalg.norm(xy_N2, axis=-1, keepdims=True)
-        return xy_N2 * np.where(radius > 0, self.image_radius(radius) / np.maximum(radius, 1e-300), 1.0)
-
     def undistort(self, x: F32, y: F32) -> tuple[F32, F32, tuple[F32, F32, F32]]:
         """Rays (x, y, 1) that image points see, and the derivative of the ray by the image point: xx, xy, yy (N,)."""
         square = x * x + y * y
@@ -132,7 +127,7 @@ def shutter(world_T_middle: Array, world_T_row: Array) -> Shutter:
 
 
 def turned(turn: list[F32], x: F32, y: F32) -> tuple[F32, F32, F32]:
-    """Arraytors (x, y, 1), each turned by its own rotation (axis times the tangent of half the angle)."""
+    """Vectors (x, y, 1), each turned by its own rotation (axis times the tangent of half the angle)."""
     a, b, c = turn
     # v + 2 / (1 + |g|²) (g x v + g x (g x v))
     p, q, r = b - c * y, c * x - a, a * y - b * x

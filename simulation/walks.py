@@ -76,16 +76,6 @@ def plan_walk(
     return PlannedWalk(duration_s, CubicSpline(t, position), CubicSpline(t, np.stack([yaw, pitch, roll], axis=1)))
 
 
-def beside_course(route: Route) -> Vec:
-    """Points (N, 3) on the floor, _STEP_M and more apart, where walkers may put their feet."""
-    course = _Course(route)
-    along = np.arange(0, course.length_m, 4 * _STEP_M)
-    sides = np.linspace(-route.spread_m, route.spread_m, 5)
-    return (course.place(along, lambda s: np.zeros_like(s))[None] + sides[:, None, None] * course.left(along)).reshape(
-        -1, 3
-    )
-
-
 class _Course:
     """A route as smooth closed functions of the distance walked along it."""
 

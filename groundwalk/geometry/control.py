@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.geometry.fits import Sim3, fit_se3, fit_sim3
+from groundwalk.geometry.fits import Sim3, fit_similarity
 from groundwalk.geometry.poses import Array, skew
 
 Mask = NDArray[np.bool_]
@@ -57,11 +57,7 @@ def _fit(survey: Array, sd_m: Array, xyz: Array, covariance: Array, used: Mask, 
     widens."""
     variance = sd_m[used] ** 2 + np.trace(covariance[used], axis1=1, axis2=2) / 3
     weights = 1 / variance
-    if rigid:
-        survey_T_map = fit_se3(survey[used], xyz[used], weights)
-        fit = Sim3(1.0, survey_T_map[:3, :3], survey_T_map[:3, 3])
-    else:
-        fit = fit_sim3(survey[used], xyz[used], weights)
+    fit = fit_similarity(survey[used], xyz[used], weights, rigid=rigid)
     jacobian, _ = similarity_jacobian(fit, xyz[used], xyz[used].mean(axis=0))
     free = slice(0, 6 if rigid else 7)
     weighted = weights[:, None, None] * np.swapaxes(jacobian[:, :, free], 1, 2)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.control import similarity_jacobian
-from groundwalk.geometry.fits import Sim3, fit_robust, fit_se3, fit_sim3
+from groundwalk.geometry.fits import Sim3, fit_robust, fit_similarity
 from groundwalk.geometry.poses import Array, yaw_rotation
 from groundwalk.geometry.rows import evenly
 
@@ -80,12 +80,7 @@ def fit_earth(
 
     def start(weights: Array, *, rigid: bool) -> Sim3:
         weights = weights * inverse_sd[:, 0] ** 2
-        if upright:
-            return _upright_fit(a, b, weights, rigid=rigid)
-        if not rigid:
-            return fit_sim3(a, b, weights)
-        enu_T_map = fit_se3(a, b, weights)
-        return Sim3(1.0, enu_T_map[:3, :3], enu_T_map[:3, 3])
+        return (_upright_fit if upright else fit_similarity)(a, b, weights, rigid=rigid)
 
     def fit(weights: Array) -> Sim3:
         found, middle = start(weights, rigid=rigid), np.average(b, axis=0, weights=weights)

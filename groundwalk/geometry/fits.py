@@ -80,6 +80,14 @@ def fit_se3(xyz_a: ArrayLike, xyz_b: ArrayLike, weights: ArrayLike | None = None
     return make_pose(rotation, mean_a - rotation @ mean_b)
 
 
+def fit_similarity(xyz_a: ArrayLike, xyz_b: ArrayLike, weights: ArrayLike, *, rigid: bool) -> Sim3:
+    """As `fit_sim3`, or as `fit_se3` where it is `rigid`."""
+    if not rigid:
+        return fit_sim3(xyz_a, xyz_b, weights)
+    a_T_b = fit_se3(xyz_a, xyz_b, weights)
+    return Sim3(1.0, a_T_b[:3, :3], a_T_b[:3, 3])
+
+
 def similarity_of_poses(a_T_cam: Array, b_T_cam: Array, scale: float | None = None) -> Sim3:
     """The a_S_b that took poses of b to those of a (N, 4, 4), but for rounding; where they are all in one place, its
     scale is 1 unless it is given."""

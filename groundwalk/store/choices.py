@@ -55,9 +55,6 @@ class QualityClass(StrEnum):
 Environment = StrEnum("Environment", "OUTDOOR INDOOR UNKNOWN")
 """Of a scene."""
 
-Appearance = StrEnum("Appearance", "SAME OTHER_HOUR EVENING OTHER_MONTH")
-"""What a simulated place looks like on its test walks, beside the training walks."""
-
 PairOrigin = StrEnum("PairOrigin", "SEQUENCE VIO RETRIEVAL TRANSITIVE EXHAUSTIVE")
 """What proposed a pair of frames."""
 

@@ -102,6 +102,14 @@ def make_writable(folder: Path) -> None:
         raise UserError("nothing can be written there", where=folder, found=error.strerror) from None
 
 
+def link_or_copy(source: Path | str, target: Path | str) -> None:
+    """A second name of a file, or a copy where there can be none: on another disk, or one without links."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
+
+
 def hash_files(folder: Path, files: Iterable[Path]) -> dict[str, str]:
     """sha256 of files by their path relative to `folder`."""
     paths = sorted(files)

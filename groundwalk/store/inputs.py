@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,40 +16,21 @@ from groundwalk.store.files import hash_files, read_json, sha256_of
 from groundwalk.store.hints import link_command, run_command
 from groundwalk.store.locks import locked
 from groundwalk.store.manifests import MANIFEST, Replaced, load_manifest, load_verified, missing_stage, replaced_input
-from groundwalk.store.settings import DataRoot, SceneConfig
+from groundwalk.store.settings import DataRoot, SceneConfig, Settings
 from groundwalk.store.simulated import TRUTH_FILES, are_simulated
 
 
 @dataclass
 class Inputs:
-    """The inputs of one run of a stage; use it as a context, which locks them against being replaced.
-
-    `hashes` is what goes into the stage's key.
-    """
+    """The inputs of one run of a stage with its settings. `hashes`, which go into the stage's key, are there once they
+    are held by `lock`."""
 
     stage: Stage[Any]
     scene: SceneConfig
     profile: str
     data: DataRoot
-    files: tuple[str, ...] = ()
-    reads_images: bool = False
+    settings: Settings
     hashes: dict[str, Any] = field(default_factory=dict)
-    sources: list[tuple[str, str, Path]] = field(default_factory=list)
-    """Scene, stage and folder of every artefact that is read."""
-    _locks: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
-
-    def __enter__(self) -> "Inputs":
-        try:
-            self.sources = self._sources()
-            self._lock()
-            self.hashes = self._hashes()
-        except BaseException:
-            self._locks.close()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._locks.close()
 
     def verify(self) -> None:
         """UserError where an input isn't as its stage wrote it, or an image as import saw it."""
@@ -56,7 +38,7 @@ class Inputs:
             load_verified(folder)
         from groundwalk.store.images import verify_images  # OpenCV
 
-        for leaf in self.data.leaves(self.scene) if self.reads_images else ():
+        for leaf in self.data.leaves(self.scene) if self.stage.reads_images(self.settings) else ():
             verify_images(self.data.captures(leaf), self.data.run(self.profile, leaf, "import"))
 
     def refuse_outdated(self) -> None:
@@ -97,15 +79,20 @@ class Inputs:
         leaves = self.data.leaves(self.scene)
         return any(load_manifest(self.data.run(self.profile, leaf, "import"))["simulated"] for leaf in leaves)
 
-    def _lock(self) -> None:
-        """Captures, too, are read by many stages, and are another profile's to simulate or remove."""
-        for leaf in self.data.leaves(self.scene):
-            if (captures := self.data.captures(leaf)).is_dir():
-                self._locks.enter_context(locked(captures, shared=True))
-        for scene, stage, folder in self.sources:
-            if not (folder / MANIFEST).is_file():
-                raise missing_stage(folder, stage, scene)
-            self._locks.enter_context(locked(folder, shared=True))
+    @contextlib.contextmanager
+    def lock(self) -> Iterator[None]:
+        """Hold them against being replaced. Captures, too, are read by many stages, and are another profile's to
+        simulate or remove. UserError where an input is being made, or isn't there."""
+        with contextlib.ExitStack() as locks:
+            for leaf in self.data.leaves(self.scene):
+                if (captures := self.data.captures(leaf)).is_dir():
+                    locks.enter_context(locked(captures, shared=True))
+            for scene, stage, folder in self.sources:
+                if not (folder / MANIFEST).is_file():
+                    raise missing_stage(folder, stage, scene)
+                locks.enter_context(locked(folder, shared=True))
+            self.hashes = self._hashes()
+            yield
 
     def _hashes(self) -> dict[str, Any]:
         hashes: dict[str, Any] = {}
@@ -115,8 +102,8 @@ class Inputs:
             hashes[f"{scene}/{stage}"] = load_manifest(folder)["outputs"]
         for name in self.stage.reads_shipped:
             hashes[f"data/{name}"] = {file: sha256_of(path) for file, path in self.data.files(name).items()}
-        if self.files:
-            hashes["files"] = hashes_of_named(self.files, self.scene.name, self.data)
+        if files := tuple(self.stage.files(self.settings)):
+            hashes["files"] = hashes_of_named(files, self.scene.name, self.data)
         return hashes
 
     def _hash_of_captures(self) -> dict[str, int | str]:
@@ -127,7 +114,9 @@ class Inputs:
             raise no_captures(self.scene.name, captures, self.profile)
         return {"files": len(hashes), "sha256": hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()}
 
-    def _sources(self) -> list[tuple[str, str, Path]]:
+    @cached_property
+    def sources(self) -> list[tuple[str, str, Path]]:
+        """Scene, stage and folder of every artefact that is read."""
         stages = (*self.stage.needs, *self.stage.wants)
         named = [(leaf, stage) for leaf in self.data.leaves(self.scene) for stage in stages]
         if self.scene.is_group:

@@ -49,9 +49,8 @@ def prepared(
             expected=f"one of {', '.join(scene.stages)}, or one of its scenes: {members}",
         )
     settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, overrides)
-    files, reads_images = tuple(stage.files(settings)), stage.reads_images(settings)
-    final = data.run(profile, scene_name, stage.name)
-    with Inputs(stage, scene, profile, data, files, reads_images) as inputs, locked(final):
+    final, inputs = data.run(profile, scene_name, stage.name), Inputs(stage, scene, profile, data, settings)
+    with inputs.lock(), locked(final):
         finish_interrupted_swap(final, MANIFEST, listed_files)
         inputs.refuse_outdated()
         parts: dict[str, Any] = {

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from groundwalk.store.schemas import Column, TableSchema, all_tables
+from groundwalk.store.schemas import TableSchema, all_tables
 from groundwalk.store.text import markdown_table
 
 _HEAD = """# Tables
@@ -30,31 +30,20 @@ def reference() -> str:
         if table.stage != stage:
             stage = table.stage
             parts.append(f"\n## {stage}\n")
-        rows = [
-            [f"`{name}`", kind, unit, column.frame, meaning] for column, name, kind, unit, meaning in _grouped(table)
-        ]
         parts.append(f"\n### {table.name} ({table.version})\n\n{table.meaning}\n\n")
-        parts.append(markdown_table("column | type | unit | frame | meaning", rows))
+        parts.append(markdown_table("column | type | unit | frame | meaning", _rows(table)))
     return "".join(parts)
 
 
-def column_lines(table: TableSchema) -> list[str]:
-    """A table's columns as plain text, one line a column or pose group: `name: type [unit, frame]: meaning`."""
-    lines = []
-    for column, name, kind, unit, meaning in _grouped(table):
-        where = ", ".join(filter(None, (unit, column.frame and f"frame {column.frame}")))
-        lines.append(f"{name}: {kind}{f' [{where}]' if where else ''}: {meaning}")
-    return lines
-
-
-def _grouped(table: TableSchema) -> Iterator[tuple[Column, str, str, str, str]]:
-    """Columns with the name, type, unit and meaning to show: a pose group is one row."""
+def _rows(table: TableSchema) -> Iterator[list[str]]:
+    """A row a column; a pose group is one row."""
     groups = {name.removesuffix("_qw") for name in table.column_names if name.endswith("_qw")}
     for column in table.columns:
         prefix, _, part = column.name.rpartition("_")
         kind = f"{column.dtype}{' or null' if column.nullable else ''}"
         if prefix not in groups or len(part) != 2:
             meaning = f"{column.meaning}: {', '.join(column.choices)}" if column.choices else column.meaning
-            yield column, column.name, kind, column.unit, meaning
+            yield [f"`{column.name}`", kind, column.unit, column.frame, meaning]
         elif part == "tx":
-            yield column, f"{prefix}_*", kind, "m, unit quaternion", column.meaning.removesuffix(": position, x")
+            meaning = column.meaning.removesuffix(": position, x")
+            yield [f"`{prefix}_*`", kind, "m, unit quaternion", column.frame, meaning]

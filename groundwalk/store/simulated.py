@@ -4,8 +4,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from groundwalk.store.choices import Appearance
-from groundwalk.store.errors import UserError
 from groundwalk.store.files import file_names, read_json
 
 SIMULATED_MARKER = "SIMULATED.json"
@@ -29,20 +27,6 @@ def are_simulated(files: Iterable[Path]) -> bool:
 def marker_of(captures: Path) -> dict[str, Any]:
     """What the simulator left in a capture folder; {} in one that it didn't write."""
     return read_json(captures / SIMULATED_MARKER, _MAX_MARKER_BYTES)
-
-
-def appearances_of(captures: Path) -> dict[str, Appearance]:
-    """What is seen on each session of a capture folder whose marker says it: none of a real one. UserError where the
-    marker says something unknown."""
-    where = captures / SIMULATED_MARKER
-    sessions = marker_of(captures).get("sessions", {})
-    try:
-        return {name: Appearance(facts["appearance"]) for name, facts in sessions.items() if "appearance" in facts}
-    except (AttributeError, TypeError, ValueError) as error:
-        expected = f"appearance one of {', '.join(Appearance)}"
-        raise UserError(
-            "the marker of simulated captures is damaged", where=where, expected=expected, found=error
-        ) from None
 
 
 def simulated_files(captures: Path) -> set[str]:

@@ -53,11 +53,10 @@ def write_table(path: Path, frame: pd.DataFrame, schema: TableSchema) -> None:
         pq.write_table(table, partial)
 
 
-def read_table(path: Path, schema: TableSchema, *, older_is_complete: bool = False) -> pd.DataFrame:
+def read_table(path: Path, schema: TableSchema) -> pd.DataFrame:
     """Read a table; UserError where the file is missing, unreadable, another table, or of another major version.
 
-    A column that may be null, and that the file doesn't have, is null throughout. With `older_is_complete` so is any
-    that an older minor version didn't have; otherwise it's a UserError, as stages rely on it.
+    A column that may be null, and that the file doesn't have, is null throughout.
     """
     name = f"{schema.stage}.{schema.name}"
     if not path.is_file():
@@ -80,8 +79,9 @@ def read_table(path: Path, schema: TableSchema, *, older_is_complete: bool = Fal
             do=f"run the {schema.stage} stage again",
         )
     missing = [c.name for c in schema.columns if not c.nullable and c.name not in table.column_names]
-    if missing and not (older_is_complete and _minor(version) < _minor(schema.version)):
-        raise UserError(f"table {name} lacks columns", where=path, found=f"no {', '.join(missing)}")
+    if missing:
+        do = f"run the {schema.stage} stage again"
+        raise UserError(f"table {name} lacks columns", where=path, found=f"no {', '.join(missing)}", do=do)
     _refuse_paths_outside(table, schema, path)
     present = [c for c in schema.column_names if c in table.column_names]
     frame: pd.DataFrame = table.select(present).to_pandas().reindex(columns=schema.column_names)
@@ -100,11 +100,6 @@ def _refuse_paths_outside(table: pa.Table, schema: TableSchema, where: Path) -> 
                         found=repr(name),
                         do="groundwalk writes no such table: make it anew from the captures",
                     )
-
-
-def _minor(version: str) -> int:
-    minor = version.partition(".")[2]
-    return int(minor) if minor.isdecimal() else 0
 
 
 def dataset_frames(frames: pd.DataFrame) -> pd.DataFrame:

@@ -184,7 +184,6 @@ def _furniture(b: Builder) -> None:
         def board(c: Canvas) -> None:
             details.number_board(c, [details.word(c.rng) for _ in range(4)])
 
-        with b.movable(f"board{k}"):
-            b.box(f"board{k}", (x, z), (1.1, 1.9, 0.2), board, yaw_deg=yaw)
+        b.box(f"board{k}", (x, z), (1.1, 1.9, 0.2), board, yaw_deg=yaw)
     for k, z in enumerate((-8.5, 0.5, 9.0)):
         parts.pane(b, f"screen{k}", (-1.6, z + 0.9), (1.6, z + 0.9), 0, 2.4)

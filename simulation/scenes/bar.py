@@ -104,8 +104,7 @@ def _terraces(b: Builder) -> None:
     places = [(-8.5, 7.1), (-6.3, 7.2), (2.2, 7.0), (5.0, 7.3), (-7.0, -7.1), (0.6, -7.2), (7.6, -7.0)]
     places += [(-23.5, 9.6), (23.8, 4.2), (-14.0, -14.4), (2.5, -14.4)]
     for k, at in enumerate(places):
-        with b.movable(f"table{k}"):
-            _table(b, f"table{k}", at, umbrella=k % 2 == 0)
+        _table(b, f"table{k}", at, umbrella=k % 2 == 0)
 
     def menu(c: Canvas) -> None:
         c.fill((32, 36, 34))
@@ -115,8 +114,7 @@ def _terraces(b: Builder) -> None:
             c.text(0.08, c.height_m - 0.4 - 0.1 * i, 0.06, line, (235, 235, 235), c.width_m - 0.16)
 
     for k, (x, z, yaw) in enumerate(((-3.0, 7.0, 10), (8.6, 7.2, -20), (-3.6, -7.0, 190), (4.4, -7.1, 170))):
-        with b.movable(f"menu{k}"):
-            b.box(f"menu{k}", (x, z), (0.7, 1.15, 0.12), menu, yaw_deg=yaw)
+        b.box(f"menu{k}", (x, z), (0.7, 1.15, 0.12), menu, yaw_deg=yaw)
 
 
 def _table(b: Builder, name: str, at: Xz, umbrella: bool) -> None:

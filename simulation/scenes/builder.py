@@ -1,15 +1,14 @@
 """The builder that scenes are written with."""
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.simulation.canvas import Bgr, Canvas, Material
 from groundwalk.simulation.materials import foliage, plain, wood
-from groundwalk.simulation.place import UP, Crown, Light, Movable, Obstacle, Place, Quad, Vec, Xz
+from groundwalk.simulation.place import UP, Crown, Light, Obstacle, Place, Quad, Vec, Xz
 
 
 class Builder:
@@ -23,15 +22,6 @@ class Builder:
         high = np.array([half[0], height_m, half[2]])
         self.place = Place(name, -half, high, light, texel)
         self.rng = np.random.default_rng(np.random.SeedSequence([seed, *name.encode()]))
-
-    @contextmanager
-    def movable(self, name: str) -> Iterator[None]:
-        """What is added within is one thing that can be moved."""
-        place = self.place
-        start = len(place.quads), len(place.crowns), len(place.obstacles)
-        yield
-        end = len(place.quads), len(place.crowns), len(place.obstacles)
-        place.movables.append(Movable(name, *map(slice, start, end)))
 
     def quad(
         self,
@@ -158,20 +148,17 @@ class Builder:
         turn = math.radians(yaw_deg)
         boards = wood(((40, 70, 110), (60, 90, 120), (50, 90, 60))[self.rng.integers(3)], 0.1)
         back = (centre[0] - 0.22 * math.sin(turn), centre[1] - 0.22 * math.cos(turn))
-        with self.movable(name):
-            self.box(f"{name}.seat", centre, (1.7, 0.07, 0.45), boards, bottom=0.42, yaw_deg=yaw_deg, faces="fblrtu")
-            self.box(f"{name}.back", back, (1.7, 0.42, 0.06), boards, bottom=0.52, yaw_deg=yaw_deg)
-            for side in (-0.7, 0.7):
-                leg = (centre[0] + side * math.cos(turn), centre[1] - side * math.sin(turn))
-                size = (0.08, 0.42, 0.4)
-                self.box(f"{name}.leg{side}", leg, size, plain((50, 50, 50)), yaw_deg=yaw_deg)
+        self.box(f"{name}.seat", centre, (1.7, 0.07, 0.45), boards, bottom=0.42, yaw_deg=yaw_deg, faces="fblrtu")
+        self.box(f"{name}.back", back, (1.7, 0.42, 0.06), boards, bottom=0.52, yaw_deg=yaw_deg)
+        for side in (-0.7, 0.7):
+            leg = (centre[0] + side * math.cos(turn), centre[1] - side * math.sin(turn))
+            size = (0.08, 0.42, 0.4)
+            self.box(f"{name}.leg{side}", leg, size, plain((50, 50, 50)), yaw_deg=yaw_deg)
 
     def lamp_post(self, name: str, centre: Xz, height: float = 4.0) -> None:
         """A pole with stickers and a lantern."""
         self.column(f"{name}.pole", centre, 0.08, height, _stickered((60, 64, 60)), sides=6)
         self.box(f"{name}.light", centre, (0.35, 0.5, 0.35), plain((190, 220, 225)), bottom=height, solid=False)
-        # Beside the pole and under the lantern, neither of which may hide it.
-        self.place.lanterns[f"{name}.light"] = (centre[0] + 0.3, height - 0.05, centre[1])
 
 
 def _stickered(colour: Bgr) -> Material:

@@ -100,10 +100,9 @@ def chair(b: Builder, name: str, centre: Xz, yaw_deg: float) -> None:
     """An office chair; one sits looking along +z before it is turned."""
     tone = details.bright(b.rng)
     cloth = materials.carpet(tone)
-    with b.movable(name):
-        b.box(f"{name}.seat", centre, (0.46, 0.1, 0.46), cloth, bottom=0.42, yaw_deg=yaw_deg, faces="fblrtu")
-        b.box(f"{name}.stem", centre, (0.1, 0.42, 0.1), materials.plain((60, 60, 64)), yaw_deg=yaw_deg)
-        b.box(f"{name}.back", centre, (0.44, 0.5, 0.07), cloth, bottom=0.5, yaw_deg=yaw_deg)
+    b.box(f"{name}.seat", centre, (0.46, 0.1, 0.46), cloth, bottom=0.42, yaw_deg=yaw_deg, faces="fblrtu")
+    b.box(f"{name}.stem", centre, (0.1, 0.42, 0.1), materials.plain((60, 60, 64)), yaw_deg=yaw_deg)
+    b.box(f"{name}.back", centre, (0.44, 0.5, 0.07), cloth, bottom=0.5, yaw_deg=yaw_deg)
 
 
 def whiteboard(c: Canvas) -> None:

@@ -70,11 +70,9 @@ def _furniture(b: Builder) -> None:
         yaw_deg=180,
     )
     b.box("cabinet", (3.5, -1.5), (0.8, 1.35, 0.45), _cabinet, yaw_deg=-90)
-    with b.movable("copier"):
-        b.box("copier", (2.3, -1.65), (0.7, 1.0, 0.6), _cabinet)
-    with b.movable("plant"):
-        b.box("plant", (3.45, 0.75), (0.34, 0.4, 0.34), materials.plain((60, 90, 150)))
-        b.bush("plant.leaves", (3.45, 0.75), 0.3, 0.4)
+    b.box("copier", (2.3, -1.65), (0.7, 1.0, 0.6), _cabinet)
+    b.box("plant", (3.45, 0.75), (0.34, 0.4, 0.34), materials.plain((60, 90, 150)))
+    b.bush("plant.leaves", (3.45, 0.75), 0.3, 0.4)
     parts.pane(b, "partition", (2.75, -1.35 + 0.35), (2.75, -0.55), 0, 2.1)
 
 

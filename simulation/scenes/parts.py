@@ -252,9 +252,8 @@ def _sign(b: Builder, front: _Front) -> None:
 def planter(b: Builder, name: str, centre: Xz, yaw_deg: float = 0.0) -> None:
     """A box with a shrub in it."""
     side = materials.masonry(0.2, 0.3, [(100, 120, 150), (120, 140, 165)], (70, 80, 90), 0.012, 15)
-    with b.movable(name):
-        b.box(name, centre, (0.9, 0.45, 0.5), side, yaw_deg=yaw_deg)
-        b.bush(f"{name}.bush", centre, 0.42, 0.35)
+    b.box(name, centre, (0.9, 0.45, 0.5), side, yaw_deg=yaw_deg)
+    b.bush(f"{name}.bush", centre, 0.42, 0.35)
 
 
 def row_of_houses(
@@ -281,8 +280,7 @@ def kiosk(b: Builder, centre: Xz, yaw_deg: float) -> None:
                 details.poster(c, 0.12 + 0.78 * k, 0.25 + 1.05 * row, 0.62, 0.9)
         details.shop_sign(c, 0.1, c.height_m - 0.38, c.width_m - 0.2, 0.34)
 
-    with b.movable("kiosk"):
-        b.box("kiosk", centre, (2.0, 2.6, 1.6), side, yaw_deg=yaw_deg)
+    b.box("kiosk", centre, (2.0, 2.6, 1.6), side, yaw_deg=yaw_deg)
 
 
 def car(b: Builder, name: str, centre: Xz, yaw_deg: float) -> None:
@@ -307,8 +305,7 @@ def car(b: Builder, name: str, centre: Xz, yaw_deg: float) -> None:
             0.6 * c.width_m,
         )
 
-    with b.movable(name):
-        b.box(name, centre, (4.2, 1.75, 1.8), side, yaw_deg=yaw_deg)
+    b.box(name, centre, (4.2, 1.75, 1.8), side, yaw_deg=yaw_deg)
 
 
 def bin_(b: Builder, name: str, centre: Xz) -> None:
@@ -319,5 +316,4 @@ def bin_(b: Builder, name: str, centre: Xz) -> None:
         details.notice(c, 0.1, 0.4, 0.25, 0.3)
         details.emblem(c, 0.25, 0.25, 0.1)
 
-    with b.movable(name):
-        b.box(name, centre, (0.5, 0.9, 0.5), side)
+    b.box(name, centre, (0.5, 0.9, 0.5), side)

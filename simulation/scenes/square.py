@@ -120,9 +120,8 @@ def _market(b: Builder) -> None:
 
         turn = math.radians(yaw)
         roof = (2.8, 0.3, 1.6)
-        with b.movable(f"stall{k}"):
-            b.box(f"stall{k}", (x, z), (2.4, 0.95, 1.1), goods, yaw_deg=yaw)
-            b.box(f"stall{k}.roof", (x, z), roof, cloth, bottom=2.15, yaw_deg=yaw, faces="fblrtu", solid=False)
-            for i in (-1.2, 1.2):
-                pole = (x + i * math.cos(turn), z - i * math.sin(turn))
-                b.box(f"stall{k}.pole{i}", pole, (0.07, 2.15, 0.07), materials.plain((60, 60, 64)), yaw_deg=yaw)
+        b.box(f"stall{k}", (x, z), (2.4, 0.95, 1.1), goods, yaw_deg=yaw)
+        b.box(f"stall{k}.roof", (x, z), roof, cloth, bottom=2.15, yaw_deg=yaw, faces="fblrtu", solid=False)
+        for i in (-1.2, 1.2):
+            pole = (x + i * math.cos(turn), z - i * math.sin(turn))
+            b.box(f"stall{k}.pole{i}", pole, (0.07, 2.15, 0.07), materials.plain((60, 60, 64)), yaw_deg=yaw)

@@ -36,9 +36,8 @@ def build(seed: int) -> Place:
     parts.pane(b, "screen.lower", (_FLIGHT[0] + 0.1, 0), (0.05, 0), 0.0, 2.6, False)
     parts.pane(b, "screen.upper", (0.05, 0), (_FLIGHT[1] - 0.05, 0), 0.0, 3.4, False)
     parts.pane(b, "gallery.rail", (_FLIGHT[0] - 0.05, -z + 0.05), (_FLIGHT[0] - 0.05, 0.3), 3.0, 4.0, False)
-    with b.movable("plant"):
-        b.box("plant", (2.5, 2.0), (0.3, 0.45, 0.3), materials.plain((50, 80, 140)), bottom=_RISE_M)
-        b.bush("plant.leaves", (2.5, 2.0), 0.28, _RISE_M + 0.4)
+    b.box("plant", (2.5, 2.0), (0.3, 0.45, 0.3), materials.plain((50, 80, 140)), bottom=_RISE_M)
+    b.bush("plant.leaves", (2.5, 2.0), 0.28, _RISE_M + 0.4)
     return b.place
 
 

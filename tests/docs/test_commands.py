@@ -14,8 +14,7 @@ import pytest
 
 from groundwalk.cli import all_commands
 from groundwalk.store import DataRoot
-from groundwalk.store.cli import settings_help
-from groundwalk.store.settings import SHIPPED_DATA, resolve_settings
+from groundwalk.store.settings import resolve_settings
 from tests.docs.pages import COMMAND, NOT_RUN, ROOT, Block, Page, pages
 
 PAGES = pages()
@@ -86,16 +85,6 @@ def test_settings_that_pages_show_are_valid(tmp_path: Path) -> None:
         assert sections, page.name
         for stage, model in models.items():
             resolve_settings(model, stage, DataRoot(folder), "tiny", "Shown", [])
-
-
-def test_examples_that_help_prints_are_settings() -> None:
-    models = {command.name: command.stage().settings for command in COMMANDS.values() if command.is_stage}
-    example = re.compile(r"(?<![\w.<>])[a-z]\w*(?:\.[\w<>-]+)+=[^\s`)]+")
-    helps = {name: settings_help(name, model) for name, model in models.items()}
-    shown = {(name, text) for name, printed in helps.items() for text in example.findall(printed)}
-    assert ("fuse", "options.window30.pairs=20") in shown
-    for stage, text in shown:
-        resolve_settings(models[stage], stage, DataRoot(SHIPPED_DATA), "tiny", "Church", [text])
 
 
 @pytest.fixture(scope="session")

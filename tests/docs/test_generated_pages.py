@@ -61,14 +61,6 @@ def test_each_capture_format_is_in_the_table() -> None:
     assert rows == list(FORMATS.builtin)
 
 
-def test_each_package_is_in_the_architecture() -> None:
-    page = (DOCS / "explanation" / "architecture.md").read_text(encoding="utf-8")
-    packages = [path.parent.name for path in DOCS.parent.glob("*/__init__.py") if path.parent.name != "benchmarks"]
-    assert len(packages) > 8
-    for name in packages:
-        assert f"| `{name}/` |" in page, name
-
-
 @pytest.mark.parametrize("profile", DataRoot(SHIPPED_DATA).names("profiles"))
 def test_each_profile_s_settings_are_settings_of_their_stages(profile: str) -> None:
     for section, model in SECTIONS.items():

@@ -39,12 +39,6 @@ def test_a_pinhole_within_has_no_border_and_hardly_any_room_left(lens: tuple[flo
     assert (outside < 0).any() or (outside > _SIZE).any()
 
 
-def test_a_resized_camera_projects_to_the_same_share_of_its_image() -> None:
-    camera, points = _camera(_LENSES[0]), np.array([[0.1, 0.2], [-0.4, 0.3]])
-    small = camera.resized(80, 48)
-    assert np.allclose(small.project(points) / [80, 48], camera.project(points) / _SIZE)
-
-
 def test_what_has_no_pinhole_is_said() -> None:
     with pytest.raises(GeometryError, match="no pinhole"):
         pinhole_within(_camera((-300.0, 0.0, 0.0, 0.0)))

@@ -1,10 +1,8 @@
 """Depth at places of an image, and medians of ratios, on images whose depth is known."""
 
 import numpy as np
-import pytest
 
-from groundwalk.geometry import GeometryError
-from groundwalk.geometry.depth_images import ratio_statistics, sample_depth, smooth_pixels
+from groundwalk.geometry.depth_images import sample_depth, smooth_pixels
 
 SIZE = (640, 480)
 
@@ -31,20 +29,3 @@ def test_nothing_is_read_at_edges_holes_or_outside() -> None:
     found, _ = sample_depth(depth, xy, SIZE)
     assert np.isfinite(found).tolist() == [True, False, False, True, False, False, True, False, False]
     assert not smooth_pixels(depth)[19:22, 9:12].any()
-
-
-def test_the_standard_error_is_that_of_frames_not_of_points() -> None:
-    """Frames with errors of their own: the error of the median falls with their number alone."""
-    rng = np.random.default_rng(1)
-    medians, stated = [], []
-    for _ in range(60):
-        offset = rng.normal(0, 0.01, 30)
-        frame = np.repeat(np.arange(30), 50)
-        ratio = 1 + offset[frame] + rng.normal(0, 0.002, len(frame))
-        found = ratio_statistics(ratio, frame, rng)
-        medians.append(found.median)
-        stated.append(found.se)
-    assert np.mean(stated) == pytest.approx(np.std(medians), rel=0.35)
-    assert np.isnan(ratio_statistics(ratio[:50], frame[:50], rng).se)
-    with pytest.raises(GeometryError, match="no ratios"):
-        ratio_statistics(np.empty(0), np.empty(0, np.int64), rng)

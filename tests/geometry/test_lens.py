@@ -2,7 +2,6 @@
 
 import cv2
 import numpy as np
-import pycolmap
 import pytest
 
 from groundwalk.geometry.lens import distort, fold_radius, max_shift, undistort
@@ -32,14 +31,6 @@ def test_distort_is_opencvs(lens: list[float]) -> None:
 def test_undistort_inverts_distort_over_a_phones_image(lens: list[float]) -> None:
     points = _image_points()
     assert np.allclose(undistort(distort(points, lens), lens), points, atol=1e-9)
-
-
-def test_colmaps_opencv_camera_has_the_same_lens() -> None:
-    lens = [0.092, -0.125, 0.001, -0.0005]
-    camera = pycolmap.Camera(camera_id=1, model="OPENCV", width=640, height=480, params=[483, 481, 322, 236, *lens])
-    points = _image_points()
-    rays = np.column_stack([points, np.ones(len(points))])
-    assert np.allclose(camera.img_from_cam(rays), distort(points, lens) * [483, 481] + [322, 236], atol=1e-9)
 
 
 def test_max_shift_is_the_farthest_that_two_lenses_differ() -> None:

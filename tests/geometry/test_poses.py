@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation, Slerp
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import (
     canonical_quaternion,
-    heading,
     interpolate,
     inverse,
     make_pose,
@@ -21,7 +20,6 @@ from groundwalk.geometry.poses import (
     rotation_angle,
     tq_from_pose,
     transform,
-    yaw_rotation,
 )
 
 seeds = st.integers(0, 2**32 - 1)
@@ -104,10 +102,3 @@ def test_interpolation_agrees_with_slerp_and_hits_its_poses(seed: int) -> None:
     assert np.allclose(interpolate(t_ns, poses, query)[:, :3, :3], expected.as_matrix(), atol=1e-9)
     with pytest.raises(GeometryError, match="outside"):
         interpolate(t_ns, poses, [t_ns[-1] + 1])
-
-
-@given(st.floats(-3.1, 3.1))
-def test_heading_reads_yaw_back(angle: float) -> None:
-    tilt = Rotation.from_euler("x", 0.01).as_matrix()
-    assert heading(yaw_rotation(angle)) == pytest.approx(angle, abs=1e-12)
-    assert heading(yaw_rotation(angle) @ tilt) == pytest.approx(angle, abs=1e-3)

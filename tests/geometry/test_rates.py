@@ -46,16 +46,6 @@ def test_difference_says_how_far_rates_may_be_off() -> None:
     assert 0.2 < np.sqrt(np.mean(error**2)) / np.sqrt(np.mean((rates.angular_difference / 2) ** 2)) < 1
 
 
-def test_rates_are_those_of_a_motion_with_constant_acceleration() -> None:
-    log_ns = np.arange(20) * _STEP_NS
-    t_s = np.array([0.45, 0.7, 1.234])
-    poses = _turning(t_s)
-    rates = rates_at(np.round(t_s * 1e9).astype(np.int64), log_ns, _turning(log_ns * 1e-9), 0.3)
-    assert np.allclose(rates.angular, np.outer(0.3 + 0.4 * t_s, [0.0, 0.6, 0.8]), atol=2e-3)
-    velocity = np.stack([t_s, 0 * t_s, np.ones_like(t_s)], axis=1)
-    assert np.allclose(rates.velocity, np.einsum("nji,nj->ni", poses[:, :3, :3], velocity), atol=2e-3)
-
-
 def test_there_are_no_rates_in_gaps_and_no_difference_at_the_ends() -> None:
     log_ns = np.array([0, 1, 2, 12, 13, 14, 30]) * _STEP_NS
     t_ns = np.array([0, 1, 7, 13, 14, 30, 31]) * _STEP_NS

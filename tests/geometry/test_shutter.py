@@ -20,8 +20,3 @@ def test_a_turned_image_is_exposed_as_its_sensor_was(side: str) -> None:
     (line,) = readout_lines([side], width, height)
     x, y = (index.ravel() + 0.5 for index in np.meshgrid(np.arange(width), np.arange(height)))
     assert np.allclose(readout_fraction(line, np.column_stack([x, y])), image.ravel())
-
-
-def test_each_image_has_its_own_line() -> None:
-    lines = readout_lines(["top", "left"], [640, 480], [480, 640])
-    assert np.allclose(readout_fraction(lines, np.array([[0.0, 480.0], [480.0, 0.0]])), [0.5, 0.5])

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pycolmap
 import pytest
 from typer.testing import CliRunner
 
@@ -15,10 +14,8 @@ from groundwalk.geometry.fits import fit_yaw
 from groundwalk.geometry.poses import rotation_angle
 from groundwalk.pipeline import is_step_up_to_date, steps
 from groundwalk.store import DataRoot, UserError, execute, stage
-from groundwalk.store.files import hash_files, read_json, write_json
-from groundwalk.store.manifests import MANIFEST, output_hashes
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import poses_of, write_table
+from groundwalk.store.files import hash_files
+from groundwalk.store.tables import poses_of
 from tests.sfm.textured_room import make_recording
 
 _STAGES = ("import", "sfm", "align")
@@ -149,43 +146,6 @@ def test_a_walk_that_does_not_fit_is_refused_with_the_reason_and_changes_nothing
         with pytest.raises(UserError, match=reason):
             _command(data, "add", str(recording))
         assert _files(data) == before and not (data.run("tiny", "room") / ".change.partial").exists()
-
-
-@pytest.mark.slow
-def test_a_map_of_two_places_that_look_alike_takes_no_walk_that_fits_both(data: DataRoot, walks: Path) -> None:
-    """Walk two is put elsewhere in the model, as if its room were another one."""
-    folder = data.run("tiny", "room", "sfm") / "model"
-    model, apart = pycolmap.Reconstruction(folder), pycolmap.Reconstruction()
-    for image in model.images.values():
-        apart.add_camera_with_trivial_rig(model.camera(image.camera_id))
-        keypoints = np.array([p.xy for p in image.points2D])
-        copied = pycolmap.Image(
-            name=image.name, keypoints=keypoints, camera_id=image.camera_id, image_id=image.image_id
-        )
-        pose = image.cam_from_world()
-        shift = np.array([50.0, 0, 0]) if image.name.startswith("two") else np.zeros(3)
-        apart.add_image_with_trivial_frame(
-            copied, pycolmap.Rigid3d(pose.rotation, pose.translation - pose.rotation.matrix() @ shift)
-        )
-    for point in model.points3D.values():
-        for walk, along_x in (("one", 0.0), ("two", 50.0)):
-            seen = [e for e in point.track.elements if model.image(e.image_id).name.startswith(walk)]
-            if len(seen) > 1:
-                apart.add_point3D(point.xyz + np.array([along_x, 0, 0]), pycolmap.Track(seen))
-    apart.write_binary(folder)
-    images = data.run("tiny", "room", "sfm") / "images.parquet"
-    table = pd.read_parquet(images)
-    table.loc[table["frame_id"].str.startswith("two"), "sfm_cam_tx"] += 50
-    write_table(images, table, schema("sfm", "images"))
-    manifest = read_json(folder.parent / MANIFEST)
-    write_json(folder.parent / MANIFEST, manifest | {"outputs": output_hashes(folder.parent)})
-    changed = DataRoot(data.root / "change", data.run("tiny", "room"), holds=True)
-    shutil.copytree(data.captures("room"), changed.captures("room"))
-    shutil.copytree(walks / "three", changed.captures("room") / "three")
-    shutil.copytree(data.root / "scenes", changed.root / "scenes")
-    execute(adding.stage_of("import"), "room", "tiny", changed)
-    with pytest.raises(UserError, match="at two places"):
-        execute(adding.stage_of("sfm"), "room", "tiny", changed)
 
 
 @pytest.mark.slow

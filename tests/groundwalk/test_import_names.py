@@ -5,19 +5,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from groundwalk.store.checkout import CHECKOUT
 
 ROOT = Path(__file__).resolve().parents[2]
-LINKED = {path.name for path in (ROOT / "groundwalk").iterdir() if path.is_symlink()} - {"shipped"}
-
-
-def test_tests_can_load_nothing_under_a_second_name() -> None:
-    for folder in LINKED:
-        with pytest.raises(ImportError, match=f"imported as groundwalk.{folder}"):
-            importlib.import_module(folder)
-    assert [name for name in sys.modules if name.split(".")[0] in LINKED] == []
 
 
 def test_a_module_is_the_file_of_the_checkout() -> None:

@@ -54,23 +54,6 @@ def test_the_exit_status_is_the_verdict(
     assert [path.name for path in capture.iterdir()] == ["frame_00000.json"]
 
 
-def test_a_shipped_scene_takes_no_part_and_what_stops_a_stage_keeps_its_status(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tmp_path / "Church"
-    folder.mkdir()
-    (folder / "frame_00000.json").write_text("{}")
-    asked: list[Step] = []
-
-    def run_steps(steps: list[Step], *_: object) -> None:
-        asked.extend(steps)
-        raise SystemExit(143)
-
-    monkeypatch.setattr(commands, "run_steps", run_steps)
-    assert judge(folder, "--out", tmp_path / "out") == 143
-    assert {step.scene for step in asked} == {"Church-capture"} and asked[0].command == "import"
-
-
 def test_a_single_file_is_judged_in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     video, roots = tmp_path / "my walk.mp4", list[DataRoot]()
     (tmp_path / "another.mp4").write_bytes(b"another")

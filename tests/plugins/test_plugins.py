@@ -201,41 +201,6 @@ def test_a_broken_package_is_named_and_the_rest_goes_on(packages: list[Path], da
     assert len([name for name in figures if name.startswith("left out: ")]) == 3
 
 
-@pytest.mark.slow
-def test_predictions_from_elsewhere_take_part_to_the_end(data: Path) -> None:
-    """Without any package: the true poses, half a metre off, as a regressor called mine."""
-    truth = table(data, "align", "ground_truth")
-    mine = truth[["frame_id", *(c for c in truth.columns if c.startswith("map_cam_"))]].dropna().assign(model="mine")
-    (data / "predictions").mkdir()
-    mine.assign(map_cam_tx=mine["map_cam_tx"] + 0.5).to_parquet(data / "predictions" / "mine.parquet")
-    configure(data, EXAMPLE.split("[train]")[0] + '[train]\nmodels = []\npredictions = "predictions/mine.parquet"\n')
-    for stage in ("training", "fusion", "reports"):
-        run([], data, stage)
-    assert set(table(data, "train", "predictions")["model"]) == {"mine"}
-    errors = table(data, "fuse", "errors")
-    assert len(set(errors["method"])) == 9
-    of_mine = errors.loc[errors["model"] == "mine", "raw_position_m"]
-    assert of_mine.to_numpy() == pytest.approx(np.full(len(of_mine), 0.5)) and len(of_mine)
-    page = (data / "runs/tiny/Room/report/page.html").read_text()
-    assert "mine, alone" in page and "predictions imported from mine.parquet" in page
-    assert (data / "runs/tiny/Room/train/recording.rrd").stat().st_size > 1000
-
-
-@pytest.mark.slow
-def test_an_exporter_that_fails_leaves_nothing(packages: list[Path], data: Path) -> None:
-    said = run(packages, data, "export", "--format", "no_paths", "--out", str(data / "nothing"), status=2)
-    assert "write returned 0 paths" in said and "groundwalk-broken 0.3" in said
-    assert not (data / "nothing").exists()
-
-
-@pytest.mark.slow
-def test_settings_of_a_package_that_is_not_installed(data: Path) -> None:
-    configure(data, EXAMPLE)
-    said = run([], data, "training", status=2)
-    assert "there is no regressor 'mean_colour'" in said
-    assert "install the package that brings it" in said and "Traceback" not in said
-
-
 @pytest.mark.parametrize("file", sorted(HERE.glob("example/**/*.*")), ids=lambda file: file.name)
 def test_the_guides_show_the_files_as_they_are(file: Path) -> None:
     if file.suffix not in (".py", ".toml") or file.name == "__init__.py":

@@ -37,12 +37,10 @@ class MadeUpScene:
 
     def __init__(
         self, name: str, seed: int, train: int = 60, test: int = 30, mixed: bool = False, uncertain: float = 0.0,
-        localisers: tuple[str, ...] = (), appearances: tuple[str, str] = ("same", "same"),
-        scale_source: str = "vio", without_vio: tuple[str, ...] = (),
+        localisers: tuple[str, ...] = (), scale_source: str = "vio", without_vio: tuple[str, ...] = (),
     ) -> None:  # fmt: skip
         self.without_vio = without_vio
         self.name, self.localisers, self.scale_source = name, localisers, scale_source
-        self.appearances = dict(zip(("walk_3", "walk_4"), appearances, strict=True))
         self.models = (*MODELS, *localisers)
         self.rng = np.random.default_rng(seed)
         splits = {"walk_1": "train", "walk_2": "train", "walk_3": "test", "walk_4": "test"}
@@ -249,7 +247,6 @@ class MadeUpScene:
             device="made up", duration_s=counts - 1.0, path_m=110.0, pose_source="vio", up="+y", up_source="format",
             poses=counts, images=counts, frames=counts,
             split=walks["split"].last().replace("val", "train").to_numpy(),
-            appearance=[self.appearances.get(name, "same") for name in names],
         )  # fmt: skip
 
     def _rejects(self) -> pd.DataFrame:

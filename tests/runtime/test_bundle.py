@@ -17,7 +17,6 @@ from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.gravity import upright_rotation
 from groundwalk.geometry.poses import pose_from_tq
 from groundwalk.runtime import open_bundle
-from groundwalk.runtime.bundle import _quaternion, matrix_of
 from groundwalk.runtime.bundle_file import MANIFEST, write_manifest
 from groundwalk.runtime.preprocessing import Preprocessing
 from groundwalk.runtime.queries import Query
@@ -67,13 +66,6 @@ def test_an_image_of_another_size_is_the_same_view(wall_bundle: Path, image: Pat
     assert np.linalg.norm(position - bundle.predict(image, intrinsics=NUMBERS).position) < 0.1
     same = bundle.predict(large, intrinsics=CAMERA).position  # intrinsics that say which size they are for
     assert same == pytest.approx(position, abs=1e-6)
-
-
-def test_a_bundle_says_what_it_is(wall_bundle: Path) -> None:
-    bundle = open_bundle(wall_bundle)
-    assert "PN" in repr(bundle) and "Wall" in repr(bundle)
-    assert bundle.manifest["simulated"] and bundle.errors["frames"] == 5
-    assert bundle.frame["maps"] == {"Wall": "metres, +y up"}
 
 
 def test_one_changed_byte_is_seen_in_any_file(copy: Path) -> None:
@@ -212,13 +204,6 @@ def test_an_upright_network_is_tilted_by_gravity() -> None:
         steps = ({"step": "resize", "short_side_px": 8}, crop)
         query = Query(np.zeros((12, 16, 3), np.uint8), Camera(16, 12, 12, 12, 8, 6), None, None)
         list(Preprocessing(image, lens, steps).run(query))
-
-
-def test_quaternions_are_those_of_matrices() -> None:
-    rotation = Rotation.random(20, rng=np.random.default_rng(0))
-    for matrix, quaternion in zip(rotation.as_matrix(), rotation.as_quat(canonical=True), strict=True):
-        assert _quaternion(matrix) == pytest.approx(quaternion, abs=1e-9)
-        assert matrix_of(3 * quaternion) == pytest.approx(matrix, abs=1e-12)
 
 
 def locate(*arguments: object) -> subprocess.CompletedProcess[str]:

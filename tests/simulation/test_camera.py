@@ -38,13 +38,3 @@ def test_blur_spreads_along_the_motion_and_keeps_the_middle() -> None:
     assert abs(mean - 160) < 0.1
     # Variances add: the bar's own width 4 and the path's length, here 6 pixels.
     assert abs(spread - np.sqrt(16 / 12 + 36 / 12)) < 0.25
-
-
-def test_near_things_blur_more_when_one_walks() -> None:
-    exposure = Exposure(1 / 60, PLAIN, 0.0)
-    depth = np.full((240, 320), 20.0, np.float32)
-    depth[120:] = 1.0
-    image = expose(
-        Rendering(bar(), depth), VIEW, np.array([1.4, 0.0, 0.0]), np.zeros(3), exposure, np.random.default_rng(0)
-    )
-    assert image[200, 150:170, 1].max() < image[40, 150:170, 1].max() - 20

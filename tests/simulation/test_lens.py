@@ -11,17 +11,15 @@ import pycolmap
 import pytest
 
 from groundwalk.geometry.poses import interpolate, inverse, transform
-from groundwalk.simulation.camera import FOCAL, draw_phone, focus_breathing
+from groundwalk.simulation.camera import FOCAL
 from groundwalk.simulation.canvas import Canvas
 from groundwalk.simulation.mesh import build_mesh
 from groundwalk.simulation.place import Light, Route, SceneryPlan
 from groundwalk.simulation.render import Renderer, Sky
-from groundwalk.simulation.scenes import scenery
 from groundwalk.simulation.scenes.builder import Builder
 from groundwalk.simulation.session import SessionOutline, SimulatedSession, plan_session
 from groundwalk.simulation.settings import SimulateSettings
-from groundwalk.simulation.view import RadialDistortion, row_times, shutter, turned
-from groundwalk.simulation.walks import plan_walk
+from groundwalk.simulation.view import RadialDistortion
 
 _COEFFICIENTS = [(0.092, -0.125), (0.16, -0.40), (-0.2, 0.05), (0.177, -0.55, 0.53), (0.1, -0.15, -0.15)]
 LENSES = [RadialDistortion(*k) for k in _COEFFICIENTS]
@@ -64,20 +62,9 @@ def test_rays_come_back_to_their_pixels_in_colmaps_and_opencvs_camera(lens: Radi
     assert np.abs(np.asarray(colmap.img_from_cam(homogeneous)) - points)[described].max() < 1e-4
     assert np.abs(opencv[:, 0] - points)[described].max() < 1e-4
     # Beyond the fold the picture goes on without a jump, by the lens's own formula.
-    assert np.abs(F * lens.distort(rays) + (CX, CY) - points).max() < 1e-4
-
-
-@pytest.mark.parametrize("lens", [LENSES[0], LENSES[3]], ids=str)
-def test_derivative_of_rays_is_that_of_differences(lens: RadialDistortion) -> None:
-    step = 2e-3
-    x, y = (v.astype(np.float32) for v in np.meshgrid(np.linspace(-0.6, 0.6, 7), np.linspace(-0.45, 0.45, 7)))
-    xx, xy, yy = lens.undistort(x, y)[2]
-    h = np.float32(step / 2)
-    right, left = lens.undistort(x + h, y), lens.undistort(x - h, y)
-    down, up = lens.undistort(x, y + h), lens.undistort(x, y - h)
-    assert np.abs((right[0] - left[0]) / step - xx).max() < 0.01
-    assert np.abs((right[1] - left[1]) / step - xy).max() < 0.01
-    assert np.abs((down[1] - up[1]) / step - yy).max() < 0.01
+    radius = np.linalg.norm(rays, axis=1, keepdims=True)
+    again = rays * lens.image_radius(radius) / radius
+    assert np.abs(F * again + (CX, CY) - points).max() < 1e-4
 
 
 def checkers(c: Canvas) -> None:
@@ -159,19 +146,13 @@ def offsets(session: SimulatedSession, settings: SimulateSettings) -> tuple[np.n
     return np.concatenate(at), np.concatenate(found)
 
 
-LENS = [0.092, -0.125, 0]
 CAMERAS: dict[str, dict[str, Any]] = {
-    "drawn": {},
-    "strong lens": {"lens": [0.16, -0.40, 0]},
-    "shutter": {"readout_s": 0.03},
     "lens with k3": {"lens": [0.177, -0.55, 0.53]},
-    "all": {"lens": LENS, "readout_s": 0.02, "focus_breathing": 0.005, "time_offset_s": 0.006},
+    "all": {"lens": [0.092, -0.125, 0], "readout_s": 0.02, "focus_breathing": 0.005, "time_offset_s": 0.006},
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name == "all" else pytest.mark.slow) for name in CAMERAS]
-)
+@pytest.mark.parametrize("name", [pytest.param("lens with k3", marks=pytest.mark.slow), "all"])
 def test_corners_are_rendered_where_opencv_predicts_them(name: str, tmp_path: Path) -> None:
     at, off = offsets(*walked(tmp_path, **CAMERAS[name]))
     assert len(off) > 1000
@@ -183,65 +164,3 @@ def test_corners_are_rendered_where_opencv_predicts_them(name: str, tmp_path: Pa
     cell = (at[:, 0] * 4 // WIDTH + 4 * (at[:, 1] * 4 // HEIGHT)).astype(int)
     for k in range(16):
         assert np.abs(off[cell == k].mean(axis=0)).max() < 0.03
-
-
-def test_rows_have_the_poses_of_the_walk() -> None:
-    """The shutter's polynomials against the walk itself: the longest readout, large images, points 0.5 m away."""
-    plan = scenery("Church", 0)
-    walk = plan_walk(plan.route, plan.place, 60.0, 0.0, 0.2, np.random.default_rng(1))
-    readout_s, focal = 0.030, FOCAL * 1920
-    share = np.linspace(-0.5, 0.5, 13)
-    x, y = np.full(13, 0.5, np.float32), (share * 0.75).astype(np.float32)
-    worst = 0.0
-    for t in np.linspace(0.5, 59.5, 400):
-        middle = walk.world_T_cam(np.array([t]))[0]
-        moving = shutter(middle, walk.world_T_cam(t + row_times(readout_s)))
-        turn, shift = moving.motion(share.astype(np.float32))
-        direction = np.stack(turned(turn, x, y), axis=1)
-        rows = inverse(middle) @ walk.world_T_cam(t + readout_s * share)
-        true = np.einsum("nij,nj->ni", rows[:, :3, :3], np.stack([x, y, np.ones(13)], axis=1))
-        off = direction - true + (np.stack(shift, axis=1) - rows[:, :3, 3]) / 0.5
-        worst = max(worst, float(np.abs(off).max()) * focal)
-    assert worst < 0.02
-
-
-def test_phones_are_drawn_from_the_measured_spread_and_stated_values_are_kept() -> None:
-    drawn = SimulateSettings()
-    phones = [draw_phone(drawn, "Church", seed) for seed in range(60)]
-    k3 = np.array([p.lens.k3 for p in phones])
-    readout = np.array([p.readout_s for p in phones])
-    # Measured without a k3: what k1 and k2 alone come nearest to over the picture, every part of it counted alike.
-    r = np.linspace(0, np.hypot(WIDTH, HEIGHT) / 2 / F, 200)[1:, None]
-    seen = np.array([p.lens.image_radius(r[:, 0]) for p in phones]).T
-    k1, k2 = np.linalg.lstsq(np.sqrt(r) * r ** [3, 5], np.sqrt(r) * (seen - r))[0]
-    spreads = ((k1, 0.05, 0.12, 2e-3), (k2, -0.20, -0.05, 4e-3), (k3, 0, 0.5, 0.0), (readout, 0.010, 0.030, 0.0))
-    for values, least, most, slack in spreads:
-        tenth = (most - least) / 10 + slack
-        assert least - slack <= values.min() < least + 2 * tenth and most - 2 * tenth < values.max() <= most + slack
-    assert np.corrcoef(k1, k2)[0, 1] < -0.7
-    assert min(p.lens.slope(r[:, 0]).min() for p in phones) > 0.5
-    assert draw_phone(drawn, "Church", 5) == phones[5] != draw_phone(drawn, "Bar", 5)
-    stated = draw_phone(SimulateSettings(lens=(0.16, -0.4, 0.1)), "Church", 5)
-    assert stated.lens == RadialDistortion(0.16, -0.4, 0.1) and stated.readout_s == phones[5].readout_s
-
-
-def test_focus_breathes_smoothly_within_its_bounds() -> None:
-    t = np.arange(0, 200, 0.1)
-    factor = focus_breathing(t, SimulateSettings(focus_breathing=0.005), np.random.default_rng(0))
-    assert 0.0045 < np.abs(factor - 1).max() <= 0.005
-    crossings = np.count_nonzero(np.diff(np.sign(factor - 1)))
-    assert 14 <= crossings <= 28  # two in about 20 s
-    assert np.abs(np.diff(factor)).max() < 0.005 * 0.1
-    still = focus_breathing(t, SimulateSettings(focus_breathing=0.0), np.random.default_rng(0))
-    assert np.all(still == 1)
-
-
-def test_clock_offset_moves_truth_and_picture_but_not_vio(tmp_path: Path) -> None:
-    exact, _ = walked(tmp_path)
-    late, _ = walked(tmp_path, time_offset_s=1 / 60)
-    assert np.array_equal(exact.t_ns, late.t_ns)
-    assert np.array_equal(exact.frames.vio_T_cam, late.frames.vio_T_cam)
-    # Stamped a frame too late, a picture shows what the camera saw a frame before.
-    moved = np.linalg.norm(late.truth.world_T_cam[1:, :3, 3] - exact.truth.world_T_cam[:-1, :3, 3], axis=1)
-    assert moved.max() < 1e-3
-    assert np.array_equal(late.shots[3].view.world_T_cam, late.truth.world_T_cam[3 * 30])

@@ -37,8 +37,8 @@ def said(folder: Path, *program: object, **environment: str) -> list[str]:
     """The words that a program prints; `log` is where its tasks' output goes."""
     head = f"""
 from pathlib import Path
-from groundwalk.store.child import Task, in_child, preload
-from {__name__} import _double, _has_zipapp
+from groundwalk.store.child import Task, in_child
+from {__name__} import _double
 log = Path({str(folder / "log")!r})
 """
     script = folder / "main.py"
@@ -55,17 +55,6 @@ def test_the_child_does_without_its_parents_main_module(tmp_path: Path) -> None:
     long = tmp_path / ("x" * 150)  # of a temporary folder, where a socket's name would be too long
     long.mkdir()
     assert said(tmp_path, doubled, TMPDIR=str(long)) == ["42"]
-
-
-def _has_zipapp(report: Report) -> bool:
-    return "zipapp" in sys.modules
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
-def test_a_child_has_what_was_named_before_it_started(tmp_path: Path) -> None:
-    for modules in ("", "'zipapp'"):
-        looked = "print(in_child('looking', log, '', Task(_has_zipapp)))"
-        assert said(tmp_path, f"preload({modules})", looked) == [str(bool(modules))]
 
 
 def test_an_error_in_the_child_is_raised_here(tmp_path: Path) -> None:

@@ -3,14 +3,11 @@
 import hashlib
 import json
 import tracemalloc
-from importlib import import_module
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from groundwalk.store import DataRoot, UserError
-from groundwalk.store.__main__ import app
 from groundwalk.store.cleaning import clean_scene
 from groundwalk.store.locks import locked
 
@@ -85,22 +82,6 @@ def test_no_name_leads_elsewhere(data: DataRoot, name: str) -> None:
     assert files_below(data.root.parent) == before
 
 
-@pytest.mark.parametrize("command", ["store clean", "store view", "capture_import", "simulation", "export"])
-def test_command_lines_check_both_names(
-    tmp_path: Path, command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    module, *arguments = command.split()
-    app = import_module(f"groundwalk.{module}.__main__").app
-    if module == "export":
-        arguments += ["--format", "tum", "--out", "x"]
-    for profile, scene in (("../captures", "Church"), ("", "Church"), ("tiny", "../Church")):
-        with pytest.raises(SystemExit) as ended:
-            app([*arguments, "--profile", profile, "--scene", scene])
-        assert ended.value.code == 2 and "can't be the name of a" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_what_this_program_did_not_make_is_named_and_left(data: DataRoot) -> None:
     runs = data.run("demo", "mine")
     notes = artefact(runs / "sfm", images="i") / "notes.txt"
@@ -170,20 +151,6 @@ def test_nothing_is_removed_while_a_stage_is_under_way(data: DataRoot) -> None:
     assert not runs.exists()
 
 
-def test_a_lock_whose_file_was_removed_excludes_nobody(tmp_path: Path) -> None:
-    with locked(tmp_path / "sfm"):
-        (tmp_path / ".sfm.lock").unlink()
-        with locked(tmp_path / "sfm"), pytest.raises(UserError, match="under way"), locked(tmp_path / "sfm"):
-            pass
-    with (
-        locked(tmp_path / "sfm", shared=True),
-        locked(tmp_path / "sfm", shared=True),
-        pytest.raises(UserError),
-        locked(tmp_path / "sfm"),
-    ):
-        pass
-
-
 @pytest.mark.parametrize("poses", [10**12, -1, "many", 1e308])
 def test_a_marker_that_counts_too_many_frames_costs_no_memory(tmp_path: Path, poses: object) -> None:
     data = DataRoot(tmp_path)
@@ -195,11 +162,3 @@ def test_a_marker_that_counts_too_many_frames_costs_no_memory(tmp_path: Path, po
     assert tracemalloc.get_traced_memory()[1] < 10 << 20
     tracemalloc.stop()
     assert (folder / "walk" / "frame_1.json").is_file()
-
-
-def test_names_of_files_can_t_act_on_the_terminal(tmp_path: Path) -> None:
-    folder = simulated_capture(DataRoot(tmp_path).captures("place"))
-    (folder / "walk" / "\x1b[2J[x]\u202e\udc80").touch()
-    done = CliRunner().invoke(app, ["clean", "--scene=place", "--profile=tiny", f"--data={tmp_path}"])
-    assert done.exit_code == 0, done.output
-    assert r"walk/\x1b[2J[x]\u202e\udc80" in done.output and "\x1b" not in done.output

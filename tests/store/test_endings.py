@@ -14,9 +14,8 @@ from pathlib import Path
 import pytest
 
 from groundwalk.store import DataRoot, StageRun, UserError, execute
-from groundwalk.store.__main__ import app as look_at_artefacts
 from groundwalk.store.child import ProcessDied, Report, Task, in_child
-from groundwalk.store.cli import new_app, stage_app
+from groundwalk.store.cli import stage_app
 from groundwalk.store.signals import Stopped
 from tests.known import filled
 from tests.store.places import NoSettings, stage
@@ -89,18 +88,6 @@ def test_a_signal_ends_a_stage_with_one_line_and_its_exit_code(
         "import · place · tiny",
         f"stopped by {number.name}; {again}",
     ]
-
-
-def test_a_command_without_checkpoints_promises_none(capsys: pytest.CaptureFixture[str]) -> None:
-    app = new_app("")
-
-    @app.command()
-    def stopped() -> None:
-        raise Stopped(signal.SIGINT)
-
-    with pytest.raises(SystemExit) as ended:
-        app([])
-    assert ended.value.code == 130 and capsys.readouterr().err == "stopped by SIGINT\n"
 
 
 @pytest.mark.parametrize(("force", "again"), [(False, "resumes from the last"), (True, "starts anew")])
@@ -181,32 +168,6 @@ def test_every_error_of_the_disk_anywhere_is_a_sentence(
         assert not data.run("tiny", "place", "import").exists()
 
 
-def test_a_link_that_cannot_be_made_is_blamed_on_its_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    captures, data = tmp_path / "phone", tmp_path / "data"
-    captures.mkdir()
-    command = ["link-captures", "--scene", "place", "--folder", str(captures), "--data"]
-
-    def fail(source: str, target: str, *_: object, **__: object) -> None:
-        raise OSError(errno.EACCES, "Permission denied", str(source), None, str(target))
-
-    with monkeypatch.context() as patched, pytest.raises(SystemExit):
-        patched.setattr("os.symlink", fail)
-        look_at_artefacts([*command, str(data)])
-    said = capsys.readouterr().err
-    assert "error: permission denied" in said and f"where:    {data / 'captures' / 'place'}\n" in said
-    (tmp_path / "file").touch()
-    with pytest.raises(SystemExit):
-        look_at_artefacts([*command, str(tmp_path / "file")])
-    assert "error: not a directory" in capsys.readouterr().err
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "captures").touch()
-    with pytest.raises(SystemExit):
-        look_at_artefacts([*command, str(tmp_path / "other")])
-    assert "error: file exists" in capsys.readouterr().err
-
-
 def test_a_library_that_fails_on_a_full_disk_is_blamed_on_the_disk(
     data: DataRoot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -250,16 +211,3 @@ def test_a_stop_that_python_hides_in_another_error_is_still_a_stop(
     with pytest.raises(SystemExit) as ended:
         stage_app(stage(hidden))(["--scene", "place", "--profile", "tiny", "--data", str(data.root)])
     assert ended.value.code == 143 and capsys.readouterr().err.endswith("resumes from the last checkpoint\n")
-
-
-def test_the_first_process_of_all_is_started_with_signals_held_too() -> None:
-    code = (
-        "import multiprocessing, signal\n"
-        "from groundwalk.store.signals import signals_held_from_workers\n"
-        "with signals_held_from_workers():\n"
-        "    process = multiprocessing.get_context('spawn').Process(target=int)\n"
-        "    process.start()\n"
-        "    print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))\n"
-    )
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert ended.stdout == "True\n", ended.stderr

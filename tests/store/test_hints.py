@@ -11,11 +11,8 @@ from groundwalk.pipeline import Step
 from groundwalk.store import DataRoot
 from groundwalk.store.checkout import CHECKOUT
 from groundwalk.store.hints import (
-    groundwalk_command,
     link_command,
-    of_scene,
     run_command,
-    setting_of,
     view_command,
 )
 
@@ -55,27 +52,3 @@ def test_make_is_advised_only_where_it_is_and_about_its_own_data(
         "groundwalk run --scene Bar --profile tiny --until sfm"
     )
     assert run_command(Path("/copied/import")) == "run the stage import where this run comes from, and copy it again"
-
-
-def test_a_command_is_printed_with_its_folder_where_the_shell_wouldn_t_find_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    script = tmp_path / "groundwalk"
-    monkeypatch.setattr("sys.executable", str(tmp_path / "python"))
-    monkeypatch.setenv("PATH", "")
-    assert groundwalk_command() == f"{tmp_path}/python -P -m groundwalk"  # -P: no module of the current folder
-    script.touch(0o755)
-    assert groundwalk_command() == str(script)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert groundwalk_command() == "groundwalk"
-
-
-def test_a_setting_goes_into_the_users_file_of_the_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert CHECKOUT is not None
-    advice, data = setting_of("sfm", "max_features"), DataRoot(tmp_path)
-    assert of_scene(advice, data, "place") == f"[sfm] max_features in {tmp_path}/scenes/place.toml"
-    monkeypatch.chdir(tmp_path)
-    assert of_scene(advice, data, "place") == "[sfm] max_features in scenes/place.toml"
-    assert of_scene(advice, data, "Church") == "[sfm] max_features in scenes/Church.toml"
-    monkeypatch.chdir(CHECKOUT)
-    assert of_scene(advice, DataRoot(Path("data")), "Church") == "[sfm] max_features in data/scenes/Church.toml"

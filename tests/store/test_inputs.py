@@ -188,17 +188,6 @@ def test_captures_stay_while_any_stage_reads(data: DataRoot, tmp_path: Path) -> 
     assert clean_scene(data, "demo", "place").removed == [data.captures("place")]
 
 
-def test_real_captures_are_no_reason_to_keep_another_profiles_results(data: DataRoot) -> None:
-    for profile in ("own", "demo"):
-        execute(IMPORT, "place", profile, data)
-
-    def reading(r: StageRun[ExampleSettings]) -> None:
-        assert [path.name for path in clean_scene(data, "demo", "place").removed] == ["import"]
-
-    run(data, stage("sfm", "import", run=reading))
-    assert (data.captures("place") / "walk" / "frame.json").is_file()
-
-
 def flip(path: Path) -> None:
     damaged = bytearray(path.read_bytes())
     damaged[len(damaged) // 2] ^= 1
@@ -268,14 +257,6 @@ def test_a_damaged_checkpoint_is_dropped_with_a_line(
     assert load_manifest(folder)["resumed"] is False
 
 
-def test_a_damaged_key_file_starts_anew(data: DataRoot) -> None:
-    for damage in ("", "null", "[]", '{"key": 3}'):
-        with pytest.raises(KeyboardInterrupt):
-            run(data, resumable(kill=True))
-        (data.run("own", "place", ".import.partial") / "key.json").write_text(damage)
-        assert (run(data, resumable(kill=False), f"text=x{len(damage)}") / "answer.bin").read_text() == "42"
-
-
 def test_an_error_of_the_user_or_the_machine_keeps_the_checkpoints(data: DataRoot) -> None:
     with pytest.raises(KeyboardInterrupt):
         run(data, resumable(kill=True))
@@ -290,15 +271,3 @@ def test_an_error_of_the_user_or_the_machine_keeps_the_checkpoints(data: DataRoo
         with pytest.raises(UserError):
             run(data, stage("import", run=fail))
         assert checkpoint.read_text() == "41"
-
-
-def test_a_bug_in_a_fresh_run_is_raised_once(data: DataRoot) -> None:
-    runs = []
-
-    def fail(r: StageRun[ExampleSettings]) -> None:
-        runs.append(1)
-        raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        run(data, stage("import", run=fail))
-    assert len(runs) == 1

@@ -91,12 +91,6 @@ def test_an_entry_with_a_fault_is_named_and_the_others_stay(
     assert f"package acme 2.1, entry point {GROUP}: {name} = " in said
 
 
-def test_of_two_packages_with_one_id_the_first_by_name_has_it(install: Install) -> None:
-    hats = install(zeta={"fez": "HERE:FEZ"}, acme={"fez": "HERE:FEZ"})
-    assert hats.versions()["fez"] == "acme 2.1"
-    assert "taken: package acme 2.1" in hats.problems["fez"][0].reason
-
-
 def test_what_is_asked_for_and_cannot_be_used(install: Install) -> None:
     hats = install(acme={"sun": "no.such.module:SUN"})
     with pytest.raises(UserError, match=r"there is no hat 'moon'[\s\S]*one of top, bowler"):

@@ -79,13 +79,6 @@ def test_a_stages_folder_that_is_a_link_is_refused_before_its_work(data: DataRoo
     execute(stage(one_file, "sfm"), "place", "own", data)
 
 
-def test_an_artefact_behind_a_link_is_still_read(data: DataRoot, tmp_path: Path) -> None:
-    folder = execute(stage(one_file, "sfm"), "place", "own", data)
-    folder.rename(tmp_path / "elsewhere")
-    folder.symlink_to(tmp_path / "elsewhere")
-    assert execute(stage(one_file, "sfm"), "place", "own", data) == folder
-
-
 def test_a_file_or_a_mounted_disk_in_a_folders_place_is_refused_before_the_work(
     data: DataRoot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -133,14 +126,6 @@ def test_a_lock_that_is_no_file_is_an_error_at_once(tmp_path: Path, kind: str) -
         pass
     assert told.value.errno in (errno.ELOOP, errno.EISDIR)
     assert told.value.filename == str(lock_file(tmp_path / "sfm"))
-
-
-def test_a_lock_whose_file_is_another_one_at_each_look_is_given_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("os.path.samestat", lambda *_: False)  # a drive that numbers its files anew each time
-    with pytest.raises(UserError, match="can't be locked"), locked(tmp_path / "sfm"):
-        pass
 
 
 def test_a_folder_that_cannot_be_synced_is_left_to_its_drive(data: DataRoot, monkeypatch: pytest.MonkeyPatch) -> None:

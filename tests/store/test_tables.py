@@ -91,10 +91,6 @@ def test_reader_refuses_another_major_version_and_what_is_no_table(tmp_path: Pat
         read_table(path, SCHEMA)
 
 
-def test_each_column_has_a_meaning() -> None:
-    assert all(column.meaning for table in all_tables() for column in table.columns)
-
-
 def test_a_text_that_is_none_of_a_column_s_choices_is_refused(tmp_path: Path) -> None:
     table = TableSchema("sfm", "t", "", [Column("split", "string", "", nullable=True, choices=Split)])
     write_table(tmp_path / "t.parquet", pd.DataFrame({"split": ["train", None]}), table)

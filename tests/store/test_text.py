@@ -6,18 +6,13 @@ import pytest
 
 from groundwalk.store import UserError
 from groundwalk.store.cli import new_app
-from groundwalk.store.text import name_list, printable
+from groundwalk.store.text import printable
 
 
 def test_terminal_codes_are_escaped_and_text_stays() -> None:
     assert printable("\x1b[31mred\x07\r\u202eright\udcff\x00") == r"\x1b[31mred\x07\r\u202eright\udcff\x00"
     text = "Träume · 漢字 → 1.5 m\n±2°"
     assert printable(text) == text
-
-
-def test_a_list_of_names_ends_with_how_many_more() -> None:
-    assert name_list(["a", "b", "c"], 3) == "a, b, c" and name_list(["a", "b", "c"], 1) == "a and 2 more"
-    assert name_list([], 3) == "nothing"
 
 
 def test_errors_show_no_terminal_codes(capsys: pytest.CaptureFixture[str]) -> None:

@@ -83,16 +83,6 @@ def test_reruns_page_may_ask_this_machine_alone(recording: Path) -> None:
             os.killpg(process.pid, signal.SIGKILL)
 
 
-def test_the_address_that_a_browser_is_started_with_works_once(recording: Path) -> None:
-    with PageServer("http://127.0.0.1:1", [recording]) as server:
-        Thread(target=server.serve_forever, daemon=True).start()
-        once = server.page_once()
-        # Rerun isn't there, to which it leads.
-        assert [answer(once)[0], answer(once)[0]] == [502, 502]
-        assert {f"/{server.secret}"} == server.starts
-        server.shutdown()
-
-
 def test_a_window_gets_recordings_through_a_pipe(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

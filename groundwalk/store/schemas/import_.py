@@ -39,7 +39,7 @@ frames 2.5: Images that are used, each with its intrinsics and the phone's pose:
     depth_confidence (string?): the sensor's confidence in the depth: path as in `image`; PNG of 8 bits, 0, 1, 2 or 0,
         127, 255 for low, medium, high. Null where there is none
 
-sessions 3.3: The recordings of a capture.
+sessions 3.4: The recordings of a capture.
     session_id (string): recording; a part of one where VIO jumped (`walk`, `walk.part2`), or of one camera of several
         (`walk.camera2`)
     recording (string): the recording that the session is, or is a part of
@@ -64,7 +64,6 @@ sessions 3.3: The recordings of a capture.
     up (UpAxis?): up in the world of the poses
     up_source (UpSource?): what says whether +y is up: the format, untested; the capture itself; or import's test, by
         the accelerometer, lines in the images or the start pose
-    appearance (Appearance?): what is seen in a simulated recording, beside the training walks; null for a real one
 
 rejects 1.1: Rows and files of the captures that were rejected; images that sampling didn't select aren't here.
     session_id (string): recording; a part of one where VIO jumped (`walk`, `walk.part2`), or of one camera of several

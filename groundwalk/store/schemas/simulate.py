@@ -10,7 +10,7 @@ true_poses 1.0: Where each simulated camera really was, in the simulated world (
     t_ns (int64, ns): time of the pose on the capture's clock
     map_cam (pose): true map_T_cam at the middle row
 
-true_cameras 1.1: What each simulated camera really was and how it moved; the app's log states a pinhole at rest.
+true_cameras 1.2: What each simulated camera really was; the app's log states a pinhole at rest.
     session_id (string): capture session
     t_ns (int64, ns): time of the pose on the capture's clock
     f{xy} (float64, px): true focal length, {}
@@ -18,7 +18,5 @@ true_cameras 1.1: What each simulated camera really was and how it moved; the ap
     k{123} (float64): radial distortion, OpenCV's convention
     readout_s (float64, s): time from the first row to the last
     time_offset_s (float64, s): t_ns minus the time of the middle row
-    velocity_{xyz} (float64, m/s in cam): velocity at the middle row, {}
-    spin_{xyz} (float64, rad/s in cam): turning rate at the middle row, {}
 """,
 )
