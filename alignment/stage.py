@@ -25,7 +25,6 @@ from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.rulers import scale_check
 from groundwalk.alignment.rulers.detection import find_rulers
 from groundwalk.alignment.rulers.measurement import measure_rulers
-from groundwalk.alignment.rulers.plot import draw_rulers
 from groundwalk.alignment.sessions import SessionFit
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
@@ -38,7 +37,7 @@ from groundwalk.store.files import write_json
 from groundwalk.store.georeference import FILE
 from groundwalk.store.tables import dataset_frames, with_cameras
 
-CHECKS_PLOT, RULERS_PLOT, CONTROL_PLOT = "checks.png", "rulers.png", "control.png"
+CHECKS_PLOT, CONTROL_PLOT = "checks.png", "control.png"
 _TABLES = ("ground_truth", "sessions", "drift", "checks", "residuals", "reference_agreement")
 
 
@@ -55,8 +54,6 @@ def run(r: StageRun[AlignSettings]) -> None:
     with r.step("plots"):
         dataset = checked.where(~frames["support"].to_numpy(bool))
         draw_checks(r.work / CHECKS_PLOT, dataset, reference, r.scene.name, simulated=r.simulated)
-        if rulers:
-            draw_rulers(r.work / RULERS_PLOT, ruler_checks, frames, images, r.image_path)
     for check in ruler_checks:
         r.say(scale_check.describe(check))
     r.write("rulers", scale_check.rulers_table(ruler_checks))

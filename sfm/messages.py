@@ -12,13 +12,14 @@ from groundwalk.sfm.mapping.built import BuiltModel
 from groundwalk.sfm.pairs.matched import are_verified, rows_of, status_of
 from groundwalk.sfm.pairs.odometry import Odometry
 from groundwalk.sfm.quality.covariance import Covariances
-from groundwalk.sfm.quality.focal_steps import MAX_FOCAL_ERROR
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.choices import AttemptOutcome, PairStatus
 from groundwalk.store.hints import setting_of
 
 _MAX_COHERENCE = 4.0
+# Focal lengths that are off by a larger fraction are named. Whether they fail is align's to say.
+_MAX_FOCAL_ERROR = 0.03
 # No phone's sensor takes as long to read its rows, and so many sigmas are clear.
 _SENSORS_READOUT_S, _READOUT_SIGMAS = 0.045, 3.0
 _FRAMES_AT_ENDS = 2  # of a session
@@ -151,12 +152,6 @@ def report_cameras(
         for line in _stated_lines(lens, is_held=r.settings.lens == "stated"):
             r.say(f"lens of {lens['lens_id']}: {line}")
     for session in intrinsics.to_dict("records"):
-        if session["focal_step_frame_id"] is not None:
-            r.say(
-                f"session {session['session_id']}: the focal length of the images changes by a factor of "
-                f"{session['focal_step']:.3f} at frame {session['focal_step_frame_id']}, the logged one doesn't: "
-                "digital zoom or another lens. Log the focal length of each image, or capture again without a change"
-            )
         of_session = frames[frames["session_id"] == session["session_id"]]
         if (of_session["focal_sd"] > 0).any():
             focal_px = session["focal_scale"] * of_session["fx"].median()
@@ -164,9 +159,9 @@ def report_cameras(
             r.say(f"session {session['session_id']}: focal length {text} px by the images")
             continue
         error = session["focal_scale"] - 1
-        if abs(error) >= MAX_FOCAL_ERROR:
+        if abs(error) >= _MAX_FOCAL_ERROR:
             doubt = (
-                "may be" if abs(error) - _CLEAR_SIGMAS * session["focal_scale_sd"] < MAX_FOCAL_ERROR else "are likely"
+                "may be" if abs(error) - _CLEAR_SIGMAS * session["focal_scale_sd"] < _MAX_FOCAL_ERROR else "are likely"
             )
             r.say(
                 f"session {session['session_id']}: logged focal lengths {doubt} wrong: "

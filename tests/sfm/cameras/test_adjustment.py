@@ -233,7 +233,7 @@ def _system(seed: int) -> tuple[System, Array, Array]:
 )
 def test_lens_readout_and_poses_are_recovered(first_row: str, k3: float) -> None:
     adjusted, truth, cameras = _adjusted(0, first_row, k3=k3)
-    shared = there(covariances(adjusted, np.array([[0, 1]]))).shared
+    shared = there(covariances(adjusted)).shared
     off = adjusted.cameras.coefficients[0, [0, 1, 4]] - [*_LENS, k3]
     assert np.all(np.abs(off) < 3 * np.sqrt(np.diag(shared)[:3])) and np.sqrt(shared[2, 2]) < 0.06
     assert adjusted.cameras.readout_s[0] == pytest.approx(_READOUT_S, abs=0.0015)
@@ -282,7 +282,7 @@ def test_turns_and_sideways_steps_tell_the_focal_length() -> None:
     sd = []
     for straight in (True, False):
         adjusted, _, _ = _adjusted(0, straight=straight)
-        estimate = there(covariances(adjusted, np.array([[0, 1]])))
+        estimate = there(covariances(adjusted))
         sd.append(np.sqrt(np.diag(estimate.shared)[-2:]).max())
     assert sd[1] < sd[0] / 2
 
@@ -296,7 +296,7 @@ def test_the_focal_lengths_sigma_round_an_object_allows_for_a_principal_point_th
         off = adjusted.cameras.log_focal - cameras.log_focal
         for centre_sd_px, of_one in zip((0.0, 4.0), ratios, strict=True):
             priors = replace(adjusted.priors, centre_sd_px=np.full(1, centre_sd_px))
-            estimate = there(covariances(replace(adjusted, priors=priors), np.array([[0, 1]])))
+            estimate = there(covariances(replace(adjusted, priors=priors)))
             of_one += (off / np.sqrt(np.diag(estimate.shared)[-2:])).tolist()
     without, with_them = np.sqrt(np.mean(np.square(ratios), axis=1))
     assert without > 2
@@ -335,7 +335,7 @@ def test_sigmas_of_lens_readout_and_poses_are_honest() -> None:
     shared, position = [], []
     for seed in range(6):
         adjusted, truth, cameras = _adjusted(seed)
-        estimate = there(covariances(adjusted, np.array([[0, 1]])))
+        estimate = there(covariances(adjusted))
         off = (camera_unknowns(adjusted.cameras) - camera_unknowns(cameras))[10 * _FRAMES :]
         shared.append(off[:4] / np.sqrt(np.diag(estimate.shared)[:4]))
         fit = fit_sim3(truth.sfm_T_cam[:, :3, 3], adjusted.bundle.sfm_T_cam[:, :3, 3])
