@@ -53,18 +53,14 @@ def report_models(r: StageRun[SfmSettings], best: Attempt, held_out: pd.DataFram
     """Figures of the selected attempt, and its lines; `not_registered` (N,) says why frames have no pose."""
     model, selected = best.model, best.selected
     assert model is not None
-    figures: dict[str, float | str | None] = {
+    figures: dict[str, float | None] = {
         "frames": len(model.registered),
         "registered": best.registered,
         "models": len(selected),
-        "largest_model": selected[0].images,
-        "consistent_fraction": best.consistent.sum() / best.registered,
-        "mapper": best.settings.mapper,
         "pairs": len(best.matched),
         "verified_pairs": int(are_verified(best.matched).sum()),
         "pairs_inconsistent_with_vio": int((status_of(best.matched) == PairStatus.INCONSISTENT_WITH_VIO).sum()),
         "points": len(model.xyz),
-        "mean_track_length": float(model.track_lengths.mean()),
         "mean_reprojection_px": model.mean_error_px,
         "held_out_px": _median(held_out.loc[held_out["held_out"], "error_px"]),
         "fitted_px": _median(held_out.loc[~held_out["held_out"], "error_px"]),

@@ -245,17 +245,6 @@ def test_frames_without_a_model_end_in_an_error_that_lists_the_attempts(room: Ro
     assert "default (incremental)" in str(caught.value) and "more_pairs" not in str(caught.value)
 
 
-@pytest.mark.slow
-def test_a_later_attempt_can_be_selected(room: Room) -> None:
-    # Nothing proposes a pair across the walks at first, and half of the frames are too few.
-    folder = _run(room, "sequence_pairs=3", "vio_pairs=0", "retrieval_pairs=0")
-    attempts = pd.read_parquet(folder / "attempts.parquet")
-    assert attempts["outcome"].tolist() == ["frames_missing", "accepted"]
-    assert attempts["attempt"].tolist() == ["default", "more_pairs"]
-    images = pd.read_parquet(folder / "images.parquet")
-    assert images["registered"].sum() == attempts["registered"].iloc[-1] >= 0.9 * len(images)
-
-
 def test_an_image_that_is_gone_is_named(room: Room) -> None:
     (room.data.captures("room") / room.frames["image"][4]).unlink()
     with pytest.raises(UserError, match=r"(?s)1 of 14 images.*one/4\.jpg.*no such file"):
