@@ -17,7 +17,6 @@ from groundwalk.alignment.checks.results import (
     with_status,
 )
 from groundwalk.alignment.checks.sessions import check_focal_length, check_sessions
-from groundwalk.alignment.checks.uncertain_frames import check_uncertain_frames
 from groundwalk.alignment.checks.windows import check_window, component_windows, max_residuals
 from groundwalk.alignment.components import Component
 from groundwalk.alignment.map_frame import common_scale, common_vertical
@@ -81,7 +80,7 @@ def _check_by_vio(
     inputs: AlignInputs, models: Sequence[tuple[str, list[Segment]]], checks: list[CheckResult], settings: AlignSettings
 ) -> CheckedMap:
     frames, sfm = inputs.frames, inputs.sfm
-    covariance, not_registered = covariances(sfm.images["covariance"]), sfm.not_registered
+    covariance = covariances(sfm.images["covariance"])
     components, windows = [], []
     for index, (model_id, segments) in enumerate(models):
         component = _component(index, model_id, segments, inputs, settings)
@@ -94,12 +93,8 @@ def _check_by_vio(
     checks += [result for window in windows for result in check_window(window)]
     residual_m, residual_rad = max_residuals(len(frames), windows)
     problem = np.where(np.isfinite(residual_m), "", "not compared with VIO").astype(object)
-    # Uncertain frames and links are judged by the frames that the checks before leave.
-    used = exclusion_reasons(checks, not_registered) == ""
-    checks += check_uncertain_frames(
-        components, frames, sfm.images, covariance, used, problem, settings.min_consistent_fraction
-    )
-    used = exclusion_reasons(checks, not_registered) == ""
+    # Links are judged by the frames that the checks before leave.
+    used = exclusion_reasons(checks, sfm.not_registered) == ""
     in_use = [c for c in components if any(used[s.rows].any() for s in c.segments)]
     placed, unlinked = place_components(in_use, used, settings.vio_link_m)
     checks += check_links(placed, unlinked, settings.vio_link_m)

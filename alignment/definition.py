@@ -6,7 +6,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="align",
-    version=24,
+    version=25,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=Lazy("groundwalk.alignment.stage:run"),

@@ -31,10 +31,10 @@ _NO_RESIDUALS = PoseResiduals(np.empty(0), np.empty(0))
 
 @dataclass(frozen=True, kw_only=True)
 class SessionFit:
-    """A segment with its frames' map_T_cam (N, 4, 4) against the map: map_T_vio (4, 4), rigid and with yaw only, and
-    the residuals of its frames with ground truth, all NaN or empty where there are too few; `compared` (n,) are those
-    frames' indices. `sim3`: residuals by a similarity, of all frames with both poses. `is_upright`: VIO and map have
-    their vertical in common; without, there is no fit with yaw only."""
+    """A segment with its frames' map_T_cam (N, 4, 4) against the map: map_T_vio (4, 4), rigid, and the residuals of its
+    frames with ground truth, all NaN or empty where there are too few; `compared` (n,) are those frames' indices.
+    `sim3`: residuals by a similarity, of all frames with both poses. `is_upright`: VIO and map have their vertical in
+    common."""
 
     segment: Segment
     map_T_cam: Array
@@ -42,8 +42,6 @@ class SessionFit:
     compared: np.ndarray
     map_T_vio: Array
     rigid: PoseResiduals
-    map_T_vio_yaw: Array
-    yaw: PoseResiduals
     sim3: PoseResiduals
     is_upright: bool = True
 
@@ -52,34 +50,28 @@ def fit_session(
     segment: Segment, map_T_cam: Array, has_ground_truth: np.ndarray, *, is_metric: bool = True, is_upright: bool = True
 ) -> SessionFit:
     """Fit a segment's VIO to the map: poses map_T_cam (N, 4, 4) of all its frames, of which those that have ground
-    truth (N,) are fitted. Nothing but a similarity fits metres to a map that isn't metric (`is_metric`), and yaw alone
-    fits no VIO without gravity, nor to a map that isn't upright (`is_upright`).
+    truth (N,) are fitted. Nothing but a similarity fits metres to a map that isn't metric (`is_metric`). `is_upright`:
+    the map is.
 
     The similarity's residuals are by a plain least-squares fit: of positions for positions, and of rotations alone for
     rotations, as a short or straight path says little of these.
     """
     compared = np.flatnonzero(has_ground_truth & segment.has_both)
     compared = compared if is_metric and len(compared) >= _MIN_FRAMES else compared[:0]
-    is_upright, both = is_upright and segment.has_gravity, segment.has_both
-    fits = []
-    for yaw_only, rows in ((False, compared), (True, compared if is_upright else compared[:0])):
-        map_T_vio, residuals = np.full((4, 4), np.nan), _NO_RESIDUALS
-        if len(rows):
-            of_rows = map_T_cam[rows], segment.vio_T_cam[rows]
-            map_T_vio, metres, radians = fit_rigid(*of_rows, POSE_SD, yaw_only=yaw_only)
-            residuals = PoseResiduals(metres, np.degrees(radians))
-        fits.append((map_T_vio, residuals))
+    both = segment.has_both
+    map_T_vio, rigid = np.full((4, 4), np.nan), _NO_RESIDUALS
+    if len(compared):
+        map_T_vio, metres, radians = fit_rigid(map_T_cam[compared], segment.vio_T_cam[compared], POSE_SD)
+        rigid = PoseResiduals(metres, np.degrees(radians))
     return SessionFit(
         segment=segment,
         map_T_cam=map_T_cam,
         has_ground_truth=has_ground_truth,
         compared=compared,
-        map_T_vio=fits[0][0],
-        rigid=fits[0][1],
-        map_T_vio_yaw=fits[1][0],
-        yaw=fits[1][1],
+        map_T_vio=map_T_vio,
+        rigid=rigid,
         sim3=_similarity_residuals(map_T_cam[both], segment.vio_T_cam[both]),
-        is_upright=is_upright,
+        is_upright=is_upright and segment.has_gravity,
     )
 
 
@@ -98,8 +90,7 @@ def sessions_table(fits: list[SessionFit], placed: list[PlacedComponent]) -> pd.
     """The align.sessions table."""
     of_component = {each.component.index: each for each in placed}
     table = pd.DataFrame([_session_row(fit, of_component[fit.segment.component]) for fit in fits])
-    rigid, yaw = (np.stack(poses) for poses in zip(*((f.map_T_vio, f.map_T_vio_yaw) for f in fits), strict=True))
-    return pd.concat([table, pose_frame("map_vio", rigid), pose_frame("map_vio_yaw", yaw)], axis=1)
+    return pd.concat([table, pose_frame("map_vio", np.stack([fit.map_T_vio for fit in fits]))], axis=1)
 
 
 def _session_row(fit: SessionFit, placed: PlacedComponent) -> dict[str, object]:
@@ -126,8 +117,6 @@ def _session_row(fit: SessionFit, placed: PlacedComponent) -> dict[str, object]:
         "up_error_deg": up_error,
         **_statistics("position", "m", fit.rigid.position_m),
         **_statistics("rotation", "deg", fit.rigid.rotation_deg),
-        "yaw_position_rms_m": _rms(fit.yaw.position_m),
-        "yaw_rotation_rms_deg": _rms(fit.yaw.rotation_deg),
         "sim3_position_rms_m": _rms(fit.sim3.position_m),
         "sim3_rotation_median_deg": _median(fit.sim3.rotation_deg),
     }

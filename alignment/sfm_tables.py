@@ -17,13 +17,10 @@ _CONFIRMED_SD, _CONFIRMED_ERROR, _CONFIRMED_SIGMAS = 0.005, 0.01, 3.0
 
 @dataclass(frozen=True)
 class FocalEstimate:
-    """A session's focal length by the images of a model, over the captured one, and its standard error; and by which
-    factor and at which frame it steps, where it does."""
+    """A session's focal length by the images of a model, over the captured one, and its standard error."""
 
     scale: float
     sd: float
-    step: float | None = None
-    step_frame_id: str | None = None
 
     @property
     def is_confirmed(self) -> bool:
@@ -70,8 +67,7 @@ class SfmTables:
         if rows.empty:
             return None
         row = rows.iloc[0]
-        step = (None, None) if pd.isna(row["focal_step"]) else (float(row["focal_step"]), row["focal_step_frame_id"])
-        return FocalEstimate(float(row["focal_scale"]), float(row["focal_scale_sd"]), *step)
+        return FocalEstimate(float(row["focal_scale"]), float(row["focal_scale_sd"]))
 
     def pairs_match_vio(self, session_id: str) -> bool:
         """Most pairs of the session's frames, each by its two images alone, move as VIO does."""

@@ -16,7 +16,6 @@ from groundwalk.alignment.control import check as control_check
 from groundwalk.alignment.control.check import ControlCheck
 from groundwalk.alignment.control.points import find_points
 from groundwalk.alignment.control.tables import control_table, draw_control, points_table
-from groundwalk.alignment.drift import ALL
 from groundwalk.alignment.georeference import NoGeoreference
 from groundwalk.alignment.ground_truth import AlignResult, build, camera_sd, poses_in_map
 from groundwalk.alignment.plot import draw_checks
@@ -25,7 +24,6 @@ from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.rulers import scale_check
 from groundwalk.alignment.rulers.detection import find_rulers
 from groundwalk.alignment.rulers.measurement import measure_rulers
-from groundwalk.alignment.rulers.plot import draw_rulers
 from groundwalk.alignment.sessions import SessionFit
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
@@ -33,12 +31,12 @@ from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.poses import Array
 from groundwalk.scoring.bootstrap import finite
 from groundwalk.store import StageRun
-from groundwalk.store.choices import DriftDefinition, QualityClass, ScaleSource, UpSource, VerticalSource
+from groundwalk.store.choices import QualityClass, ScaleSource, UpSource, VerticalSource
 from groundwalk.store.files import write_json
 from groundwalk.store.georeference import FILE
 from groundwalk.store.tables import dataset_frames, with_cameras
 
-CHECKS_PLOT, RULERS_PLOT, CONTROL_PLOT = "checks.png", "rulers.png", "control.png"
+CHECKS_PLOT, CONTROL_PLOT = "checks.png", "control.png"
 _TABLES = ("ground_truth", "sessions", "drift", "checks", "residuals", "reference_agreement")
 
 
@@ -55,8 +53,6 @@ def run(r: StageRun[AlignSettings]) -> None:
     with r.step("plots"):
         dataset = checked.where(~frames["support"].to_numpy(bool))
         draw_checks(r.work / CHECKS_PLOT, dataset, reference, r.scene.name, simulated=r.simulated)
-        if rulers:
-            draw_rulers(r.work / RULERS_PLOT, ruler_checks, frames, images, r.image_path)
     for check in ruler_checks:
         r.say(scale_check.describe(check))
     r.write("rulers", scale_check.rulers_table(ruler_checks))
@@ -181,31 +177,20 @@ def _place_on_earth(
 
 
 def _write_figures(r: StageRun[AlignSettings], frames: pd.DataFrame, result: AlignResult, registered: int) -> None:
-    gt, sessions, main = result.ground_truth, result.sessions, result.main
+    gt, main = result.ground_truth, result.main
     scale, vertical, status = main.component.scale, main.component.vertical, result.checks["status"]
-    reference = result.reference_agreement
     figures = {
         "frames": len(gt),
         "registered": registered,
         "with_ground_truth": int((gt["quality"] != QualityClass.NONE).sum()),
         **{f"quality_{name}": int((gt["quality"] == name).sum()) for name in QualityClass},
         "components": len(result.placed),
-        "linked_by_vio": int(gt["gt_uses_vio"].sum()),
         "metres_per_sfm_unit": main.map_S_sfm.scale,
         "scale_source": scale.source,
         "vertical_source": vertical.source,
         "scale_sd": finite(scale.sd),
-        "session_scale_spread": finite(sessions["scale"].max() - sessions["scale"].min()),
         "vertical_sd_deg": finite(float(np.degrees(vertical.sd))),
         "camera_sd_deg": float(np.degrees(camera_sd(frames))),
-        "vertical_correction_deg": finite(sessions["up_error_deg"].max()),
-        "position_rms_m": _pooled_rms(sessions["position_rms_m"], sessions["with_ground_truth"]),
-        "rotation_rms_deg": _pooled_rms(sessions["rotation_rms_deg"], sessions["with_ground_truth"]),
-        "sim3_position_rms_m": _pooled_rms(sessions["sim3_position_rms_m"], sessions["registered"]),
-        "sim3_rotation_median_deg": finite(sessions["sim3_rotation_median_deg"].max()),
-        "vio_5m_median_percent": _over_5m(result.drift, "median"),
-        "vio_5m_max_percent": _over_5m(result.drift, "max"),
-        "reference_position_rms_m": _pooled_rms(reference["position_rms_m"], reference["compared_frames"]),
         "checks": len(status),
         "checks_failed": int((status == Status.FAILED).sum()),
         "checks_undecided": int((status == Status.UNDECIDED).sum()),
@@ -281,18 +266,3 @@ def _describe_fit(fit: SessionFit) -> str:
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _pooled_rms(rms: pd.Series, counts: pd.Series) -> float | None:
-    """Root mean square over all frames, by that of each session."""
-    has_value = rms.notna()
-    if not counts[has_value].any():
-        return None
-    return float(np.sqrt(np.average(rms[has_value].astype(float) ** 2, weights=counts[has_value])))
-
-
-def _over_5m(drift: pd.DataFrame, statistic: str) -> float | None:
-    """How far VIO's relative position is from the ground truth's over 5 m, in percent, over all sessions."""
-    is_position = (drift["session_id"] == ALL) & (drift["definition"] == DriftDefinition.DISTANCE_POSITION)
-    values = drift.loc[is_position & (drift["interval"] == 5.0), statistic]
-    return float(values.iloc[0]) if len(values) else None

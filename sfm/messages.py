@@ -12,13 +12,14 @@ from groundwalk.sfm.mapping.built import BuiltModel
 from groundwalk.sfm.pairs.matched import are_verified, rows_of, status_of
 from groundwalk.sfm.pairs.odometry import Odometry
 from groundwalk.sfm.quality.covariance import Covariances
-from groundwalk.sfm.quality.focal_steps import MAX_FOCAL_ERROR
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.choices import AttemptOutcome, PairStatus
 from groundwalk.store.hints import setting_of
 
 _MAX_COHERENCE = 4.0
+# Focal lengths that are off by a larger fraction are named. Whether they fail is align's to say.
+_MAX_FOCAL_ERROR = 0.03
 # No phone's sensor takes as long to read its rows, and so many sigmas are clear.
 _SENSORS_READOUT_S, _READOUT_SIGMAS = 0.045, 3.0
 _MAX_LENSES = 6
@@ -53,18 +54,14 @@ def report_models(r: StageRun[SfmSettings], best: Attempt, held_out: pd.DataFram
     """Figures of the selected attempt, and its lines; `not_registered` (N,) says why frames have no pose."""
     model, selected = best.model, best.selected
     assert model is not None
-    figures: dict[str, float | str | None] = {
+    figures: dict[str, float | None] = {
         "frames": len(model.registered),
         "registered": best.registered,
         "models": len(selected),
-        "largest_model": selected[0].images,
-        "consistent_fraction": best.consistent.sum() / best.registered,
-        "mapper": best.settings.mapper,
         "pairs": len(best.matched),
         "verified_pairs": int(are_verified(best.matched).sum()),
         "pairs_inconsistent_with_vio": int((status_of(best.matched) == PairStatus.INCONSISTENT_WITH_VIO).sum()),
         "points": len(model.xyz),
-        "mean_track_length": float(model.track_lengths.mean()),
         "mean_reprojection_px": model.mean_error_px,
         "held_out_px": _median(held_out.loc[held_out["held_out"], "error_px"]),
         "fitted_px": _median(held_out.loc[~held_out["held_out"], "error_px"]),
@@ -156,12 +153,6 @@ def report_cameras(
         for line in _stated_lines(lens, is_held=r.settings.lens == "stated"):
             r.say(f"lens of {lens['lens_id']}: {line}")
     for session in intrinsics.to_dict("records"):
-        if session["focal_step_frame_id"] is not None:
-            r.say(
-                f"session {session['session_id']}: the focal length of the images changes by a factor of "
-                f"{session['focal_step']:.3f} at frame {session['focal_step_frame_id']}, the logged one doesn't: "
-                "digital zoom or another lens. Log the focal length of each image, or capture again without a change"
-            )
         of_session = frames[frames["session_id"] == session["session_id"]]
         if (of_session["focal_sd"] > 0).any():
             focal_px = session["focal_scale"] * of_session["fx"].median()
@@ -169,9 +160,9 @@ def report_cameras(
             r.say(f"session {session['session_id']}: focal length {text} px by the images")
             continue
         error = session["focal_scale"] - 1
-        if abs(error) >= MAX_FOCAL_ERROR:
+        if abs(error) >= _MAX_FOCAL_ERROR:
             doubt = (
-                "may be" if abs(error) - _CLEAR_SIGMAS * session["focal_scale_sd"] < MAX_FOCAL_ERROR else "are likely"
+                "may be" if abs(error) - _CLEAR_SIGMAS * session["focal_scale_sd"] < _MAX_FOCAL_ERROR else "are likely"
             )
             r.say(
                 f"session {session['session_id']}: logged focal lengths {doubt} wrong: "

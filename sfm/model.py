@@ -57,37 +57,21 @@ class Model:
         return float(np.linalg.norm(self.residual_px, axis=1).mean())
 
     def of_frames(self) -> pd.DataFrame:
-        """A row a frame: the points that it sees (`observations`), and of these the mean track length, the median of
-        their widest angle (`triangulation_deg`) and the mean length of residuals (`reprojection_px`); NaN for none."""
+        """A row a frame: the points that it sees (`observations`), and of these the mean track length and the mean
+        length of residuals (`reprojection_px`); NaN for none."""
         seen = pd.DataFrame(
             {
                 "track_length": self.track_lengths[self.point],
-                "triangulation_deg": np.degrees(self.triangulation_angles())[self.point],
                 "reprojection_px": np.linalg.norm(self.residual_px, axis=1),
             }
         ).groupby(self.frame)
-        table = seen.mean().assign(triangulation_deg=seen["triangulation_deg"].median(), observations=seen.size())
+        table = seen.mean().assign(observations=seen.size())
         table = table.reindex(range(len(self.sfm_T_cam)))
         return table.assign(observations=table["observations"].fillna(0).astype(np.int64))
 
     def point_error_px(self) -> Array:
         """Mean length of each point's residuals, (P,)."""
         return np.bincount(self.point, np.linalg.norm(self.residual_px, axis=1), len(self.xyz)) / self.track_lengths
-
-    def triangulation_angles(self) -> Array:
-        """The widest angle in radians between two rays to each point, (P,)."""
-        rays = self.sfm_T_cam[self.frame, :3, 3] - self.xyz[self.point]
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        order = np.argsort(self.point, kind="stable")
-        lengths = self.track_lengths
-        start = np.concatenate([[0], np.cumsum(lengths)])
-        angles = np.zeros(len(self.xyz))
-        for length in np.unique(lengths[lengths > 1]):
-            points = np.flatnonzero(lengths == length)
-            of_points = rays[order[start[points, None] + np.arange(length)]]
-            cosine = np.einsum("pix,pjx->pij", of_points, of_points).min(axis=(1, 2))
-            angles[points] = np.arccos(np.clip(cosine, -1.0, 1.0))
-        return angles
 
 
 def renumbered(folder: Path, names: Sequence[str]) -> pycolmap.Reconstruction:

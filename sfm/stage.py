@@ -20,11 +20,9 @@ from groundwalk.sfm.model import load_models
 from groundwalk.sfm.pairs import verification
 from groundwalk.sfm.pairs.floor import FloorSource
 from groundwalk.sfm.pairs.matched import are_verified, checkpoint, rows_of
-from groundwalk.sfm.pairs.odometry import Odometry, motions_over
 from groundwalk.sfm.pairs.selection import pairs_by_images, pairs_within_sessions
 from groundwalk.sfm.plugins import MappingInput
 from groundwalk.sfm.quality.covariance import Covariances, covariances
-from groundwalk.sfm.quality.focal_steps import with_focal_steps
 from groundwalk.sfm.quality.model_check import check_models
 from groundwalk.sfm.recording import write_recording
 from groundwalk.sfm.settings import SfmSettings
@@ -41,8 +39,6 @@ _IN_CHILDREN = (
     "groundwalk.sfm.pairs.features",
     "groundwalk.sfm.pairs.neighbours",
 )
-# VIO is surer than SfM where SfM's motion over so much of its path is less certain (align's check of uncertain frames).
-_MOTION_M = 5.0
 # Covariances take 36 N² numbers of memory: 1.8 GB for so many frames. Those of larger models are of class C.
 _MAX_COVARIANCE_FRAMES = 2500
 
@@ -138,20 +134,20 @@ def run(r: StageRun[SfmSettings]) -> None:
 
     with r.step("quality"):
         adjusted = [load_adjusted(best.folder / f"{one.folder}.npz") for one in adjusted_models]
-        estimates, covariance, motion_sd = _covariances(r, vio, adjusted_models, adjusted)
+        estimates, covariance = _covariances(r, len(frames), adjusted_models, adjusted)
         if held is not None:
             covariance += held.covariance_by_map(model)
         finished = cameras_of_frames(cameras, adjusted)
         held_out = held_out_check(read_matches(best.mapping_input), finished, model.sfm_T_cam, model.model)
 
     frame_ids = list(frames["frame_id"])
-    images = tables.images_table(frame_ids, best, cameras, finished, held_out, covariance, motion_sd)
+    images = tables.images_table(frame_ids, best, cameras, finished, held_out, covariance)
     lenses, intrinsics = tables.camera_tables(cameras, adjusted_models, adjusted, estimates)
     written = {
         "images": images,
         "models": tables.models_table(best.built, held_out),
         "lenses": lenses,
-        "intrinsics": with_focal_steps(intrinsics, frames, images),
+        "intrinsics": intrinsics,
         "attempts": tables.attempts_table(attempts, best),
         "pairs": tables.pairs_table(frame_ids, best.matched),
         "points": tables.points_table(model, selected),
@@ -175,21 +171,19 @@ def run(r: StageRun[SfmSettings]) -> None:
 
 
 def _covariances(
-    r: StageRun[SfmSettings], vio: Odometry, models: Sequence[BuiltModel], adjusted: Sequence[tuple[Adjusted, Ints]]
-) -> tuple[list[Covariances | None], Array, Array]:
-    """Of each model, None where there are none; and of all N frames, (N, 6, 6), and sds of their motions (N,), NaN."""
+    r: StageRun[SfmSettings], frames: int, models: Sequence[BuiltModel], adjusted: Sequence[tuple[Adjusted, Ints]]
+) -> tuple[list[Covariances | None], Array]:
+    """Of each model, None where there are none; and of all N frames, (N, 6, 6), NaN."""
     estimates: list[Covariances | None] = []
-    covariance, motion_sd = np.full((len(vio.session), 6, 6), np.nan), np.full(len(vio.session), np.nan)
+    covariance = np.full((frames, 6, 6), np.nan)
     for one, (bundle, rows) in zip(models, adjusted, strict=True):
-        estimate, motions = None, motions_over(vio.session[rows], vio.travelled_m[rows], _MOTION_M)
+        estimate = None
         if len(rows) > _MAX_COVARIANCE_FRAMES:
             r.say(f"model {one.model_id}: no covariances of more than {_MAX_COVARIANCE_FRAMES} frames")
-        elif (estimate := covariances(bundle, motions)) is None:
+        elif (estimate := covariances(bundle)) is None:
             r.say(f"model {one.model_id}: no covariances: too few points")
         else:
             covariance[rows] = estimate.poses
-            for ends in motions.T:
-                np.fmax.at(motion_sd, rows[ends], estimate.motions)
             messages.report_coherence(r, one, estimate)
         estimates.append(estimate)
-    return estimates, covariance, motion_sd
+    return estimates, covariance

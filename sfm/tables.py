@@ -44,10 +44,9 @@ def images_table(
     cameras: Cameras,
     check: pd.DataFrame,
     covariance_N66: Array,
-    motion_sd_N: Array,
 ) -> pd.DataFrame:
-    """One row a frame, of the selected models of the best attempt, with its cameras; covariances and sds of motions are
-    NaN where there are none."""
+    """One row a frame, of the selected models of the best attempt, with its cameras; covariances are NaN where there
+    are none."""
     model = best.model
     assert model is not None
     table = pd.DataFrame({"frame_id": frame_ids, "registered": model.registered})
@@ -72,7 +71,6 @@ def images_table(
     table["covariance"] = pd.Series(
         [list(row) if np.isfinite(row).all() else None for row in covariance_N66.reshape(-1, 36)], dtype=object
     )
-    table["motion_sd"] = motion_sd_N
     return table
 
 

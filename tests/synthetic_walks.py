@@ -104,7 +104,7 @@ class Scene:
     def set_focal(self, session_id: str, scale: float, sd: float) -> None:
         """What the images of the first model say of a session's focal length: its factor and standard error."""
         row = {"model_id": "incremental/0", "session_id": session_id, "frames": 1, "focal_scale": scale}
-        row |= {"focal_scale_sd": sd, "focus_sd": 0.001, "angular_sd": 0.02, "focal_step": np.nan}
+        row |= {"focal_scale_sd": sd, "focus_sd": 0.001, "angular_sd": 0.02}
         self.intrinsics = pd.DataFrame([*self.intrinsics.to_dict("records"), row])
 
     def set_vio(self, vio_T_cam: np.ndarray) -> None:
@@ -189,7 +189,6 @@ def _make(w: Walks) -> Scene:
             "registered": True,
             "not_registered": None,
             "model_id": "incremental/0",
-            "motion_sd": np.nan,
             "observations": 500,
             "reprojection_px": 0.8,
             "covariance": [np.diag(sigma**2).ravel().tolist()] * len(table),

@@ -131,9 +131,6 @@ DEFINITIONS = {
         remedy="check the captured focal length and lens",
         evidence="more frames with depth",
     ),
-    CheckName.SESSION_UNCERTAIN: CheckDefinition(
-        "uncertain frames that are inconsistent with VIO", remedy="capture with more overlap between images"
-    ),
     CheckName.COMPONENT_LINK: CheckDefinition(
         "VIO path between the SfM models",
         CheckUnit.METRES,

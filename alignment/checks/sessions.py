@@ -81,21 +81,13 @@ def check_sessions(component: Component, sfm: SfmTables, settings: AlignSettings
 
 def check_focal_length(subject: Subject, rows: Rows, focal: FocalEstimate | None, limit: float) -> CheckResult | None:
     """The focal length by the images against the captured one; None where the images don't determine it. Undecided it
-    lowers no frame's class: SfM used the estimated one, and its standard error is in the frames' covariances. Where it
-    steps, some frames are off by half of the step."""
+    lowers no frame's class: SfM used the estimated one, and its standard error is in the frames' covariances."""
     if focal is None:
         return None
     error = focal.scale - 1
     reason = f"focal length by the images is {abs(error):.1%} {'longer' if error > 0 else 'shorter'} than captured"
-    estimate = Quantity(abs(error), focal.sd)
-    if focal.step is not None:
-        reason += f", {focal.step:.3f} times as long from {focal.step_frame_id} on: digital zoom or another lens"
-        half_step = abs(focal.step - 1) / 2
-        if half_step > abs(error):
-            # A step is one by being beyond all scatter.
-            estimate = Quantity(half_step, 0.0)
     failure = Failure(FailureCause.WRONG_INTRINSICS, reason, rows, lowers_class=False)
-    return evaluate(CheckName.SESSION_FOCAL_LENGTH, subject, estimate, limit, failure)
+    return evaluate(CheckName.SESSION_FOCAL_LENGTH, subject, Quantity(abs(error), focal.sd), limit, failure)
 
 
 def _motion(about: _About, diagnosis: Diagnosis, *, pairs_match: bool) -> CheckResult:

@@ -199,8 +199,9 @@ def _mapped(
         rows = each.component.registered_rows
         covariance[rows], unit[rows] = covariance_in_map(in_sfm[rows], each.map_S_sfm), each.map_S_sfm.scale
     map_T_cam = poses_in_map(images, placed)
-    observations, cam_T_row = observations_of(frames, images, points.row, points.point, points.xy_px)
-    cam_T_row[:, :3, 3] *= unit[points.row, None]
+    observations = observations_of(frames, images, points.row, points.point, points.xy_px)
+    assert observations.cam_T_row is not None
+    observations.cam_T_row[:, :3, 3] *= unit[points.row, None]
     seen = usable[points.row] & np.isfinite(map_T_cam[points.row, 0, 0]) & np.isfinite(observations.xy).all(axis=1)
     used, count = observations.where(seen), len(points.names)
     min_sd = points.settings.pixel_sd if points.settings.images else _DETECTION_SD_PX

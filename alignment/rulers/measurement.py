@@ -43,14 +43,12 @@ class RulerDetections:
 
 @dataclass(frozen=True)
 class RulerMeasurement:
-    """A ruler in a model. `in_model` (M,) are the observations in frames of the model, `cam_T_row` (M, 4, 4) where the
-    camera was when each one's row was exposed, in the axes of its frame's pose, and `fits` the measurements by part of
-    the ruler. `problem`: why they decide nothing; `notes`: remarks for the user."""
+    """A ruler in a model. `in_model` (M,) are the observations in frames of the model, and `fits` the measurements by
+    part of the ruler. `problem`: why they decide nothing; `notes`: remarks for the user."""
 
     detections: RulerDetections
     model_id: str
     in_model: Mask
-    cam_T_row: Array
     fits: dict[RulerPart, RulerFit] = field(default_factory=dict)
     problem: str = ""
     notes: tuple[str, ...] = ()
@@ -93,12 +91,12 @@ def measure_rulers(
         if not len(models):
             problem = ruler.absence or "seen only in frames that SfM didn't register"
             unseen = np.zeros(len(ruler.row), dtype=bool)
-            measurements.append(RulerMeasurement(ruler, "", unseen, np.empty((0, 4, 4)), problem=problem))
+            measurements.append(RulerMeasurement(ruler, "", unseen, problem=problem))
             continue
-        observations, cam_T_row = observations_of(frames, images, ruler.row, ruler.corner, ruler.xy_px)
+        observations = observations_of(frames, images, ruler.row, ruler.corner, ruler.xy_px)
         for model in models:
             in_model = registered[ruler.row] & (model_id[ruler.row] == model) & np.isfinite(observations.xy).all(axis=1)
-            measurement = RulerMeasurement(ruler, str(model), in_model, cam_T_row)
+            measurement = RulerMeasurement(ruler, str(model), in_model)
             fits = _fit_parts(measurement, observations, poses, covariance)
             measurement = replace(measurement, fits=fits)
             if RulerPart.ALL in fits and (not ruler.ruler.use_for_scale or RulerPart.FOR_SCALE in fits):
@@ -112,9 +110,8 @@ def measure_rulers(
 
 def observations_of(
     frames: pd.DataFrame, images: pd.DataFrame, row: Indices, corner: Indices, xy_px: Array
-) -> tuple[Observations, Array]:
-    """Pixels (M, 2) of corners (M,) in these rows (M,) of the frames table without lens and rolling shutter, and where
-    (M, 4, 4) the camera was when each one's row was exposed, in the axes of its frame's pose."""
+) -> Observations:
+    """Pixels (M, 2) of corners (M,) in these rows (M,) of the frames table without lens and rolling shutter."""
     # NaN where a frame's lens model can't be inverted.
     xy, focal_px = np.full((len(row), 2), np.nan), np.empty(len(row))
     for number in np.unique(row).tolist():
@@ -126,8 +123,7 @@ def observations_of(
     angular, velocity = (
         images[[f"{name}_{axis}" for axis in "xyz"]].to_numpy(float)[row] for name in ("angular", "velocity")
     )
-    cam_T_row = rows_in_camera(angular, velocity, tau)
-    return Observations(corner, row, xy, focal_px, cam_T_row), cam_T_row
+    return Observations(corner, row, xy, focal_px, rows_in_camera(angular, velocity, tau))
 
 
 def _fit_parts(

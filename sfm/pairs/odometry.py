@@ -82,20 +82,6 @@ def odometry(
     return Odometry(session_N, recording_N, t_ns_N, vio_T_cam, gravity_cam, travelled, jumped_m, jumped_rad)
 
 
-def motions_over(session_N: NDArray[np.object_], travelled_m: Array, length_m: float) -> Pairs:
-    """Each frame with the nearest ones of its session that are at least so far on, and back, by VIO's path, (S, 2)."""
-    motions = [np.empty((0, 2), np.int64)]
-    for session in np.unique(session_N):
-        rows = np.flatnonzero(session_N == session)
-        rows = rows[np.argsort(travelled_m[rows], kind="stable")]
-        path_m, index = travelled_m[rows], np.arange(len(rows))
-        on = np.column_stack([index, np.searchsorted(path_m, path_m + length_m)])
-        back = np.column_stack([np.searchsorted(path_m, path_m - length_m, side="right") - 1, index])
-        ends = np.concatenate([on[on[:, 1] < len(rows)], back[back[:, 0] >= 0]])
-        motions.append(rows[ends])
-    return np.unique(np.concatenate(motions), axis=0)
-
-
 def drift_between(vio: Odometry, pairs: Pairs) -> tuple[Array, Array]:
     """What VIO can be off by between the two frames of each pair: metres (P,) and radians (P,)."""
     a, b = pairs.T

@@ -13,7 +13,7 @@ from scipy.linalg import LinAlgError
 from scipy.sparse import coo_array, csr_array, vstack
 from scipy.sparse.csgraph import connected_components
 
-from groundwalk.geometry.poses import Array, skew
+from groundwalk.geometry.poses import Array
 from groundwalk.geometry.robust import cauchy_weights
 from groundwalk.geometry.rows import summed
 from groundwalk.geometry.shutter import readout_fraction
@@ -35,7 +35,7 @@ from groundwalk.sfm.cameras.normal_equations import block_rows, inverse_of, simi
 _SAME_PLACE_PX = 0.01
 # The scatter of keypoints tells that of the poses where there are some more of them than unknowns.
 _KEYPOINTS_PER_UNKNOWN = 2
-# By how much variances of poses and motions grow, as neighbouring features share errors: without it the normalised
+# By how much variances of poses grow, as neighbouring features share errors: without it the normalised
 # squared error is 1.2 by charuco's board and 1.2 to 2.1 in simulated captures (docs/explanation/decisions.md).
 SHARED_ERRORS = 1.7
 # Parts of the image in which errors of the cameras' model are alike.
@@ -47,20 +47,17 @@ _CHUNK = 64  # frames at once, for memory
 class Covariances:
     """Of an adjusted model's frames (N, 6, 6), in the order rotation (rad, 3), position (sfm units, 3): true rotation =
     exp(rotation) @ sfm_R_cam, true position = position of sfm_T_cam + position, both along the sfm axes; and of what
-    the frames share (G, G): k1, k2, k3 and readout of each lens, then each session's log focal factor; the largest
-    standard deviation of the motion from one frame to another (S,), in the first one's axes and as a fraction of its
-    length, the model's scale apart; and the coherence of residuals in rows of a frame and in regions of the image, by
-    which they have grown."""
+    the frames share (G, G): k1, k2, k3 and readout of each lens, then each session's log focal factor; and the
+    coherence of residuals in rows of a frame and in regions of the image, by which they have grown."""
 
     poses: Array
     shared: Array
-    motions: Array
     by_rows: float
     by_region: float
 
 
-def covariances(adjusted: Adjusted, motion_S2: Ints) -> Covariances | None:
-    """None where there are too few points to tell. `motion_S2`: the two frames of each motion.
+def covariances(adjusted: Adjusted) -> Covariances | None:
+    """None where there are too few points to tell.
 
     Nothing is assumed of the noise but that errors of two keypoints have nothing to do with each other: those of one in
     the frames that see it are correlated, as its features slide with the view, and points of one keypoint share them.
@@ -70,7 +67,7 @@ def covariances(adjusted: Adjusted, motion_S2: Ints) -> Covariances | None:
 
     What the cameras' model leaves out is alike in the rows of a frame that are read out together, or in a region of the
     image. Where residuals are correlated more than independent ones would be (`coherence`), covariances grow by it, and
-    those of poses and motions by what even a right model leaves (`SHARED_ERRORS`).
+    those of poses by what even a right model leaves (`SHARED_ERRORS`).
     What the frames share is also as uncertain as principal points make it (`_of_centres`).
 
     Where frames and points are held, what comes out is how certain the others are if these are right.
@@ -107,16 +104,13 @@ def covariances(adjusted: Adjusted, motion_S2: Ints) -> Covariances | None:
     shared = of_shared @ middle @ of_shared.T
     shared += (max(by_rows, by_region) - 1) * shared_by_keypoints.T @ shared_by_keypoints
     middle *= SHARED_ERRORS * by_rows
-    position = bundle.sfm_T_cam[:, :3, 3]
-    gauge, h = _gauge_of(position)
+    gauge, h = _gauge_of(bundle.sfm_T_cam[:, :3, 3])
     if len(bundle.held_points):
         gauge, h = np.zeros_like(gauge), np.zeros_like(h)
     poses = _gauge_free_sandwich(inverse, middle, gauge, h)
     by_centres = _of_centres(adjusted, linear, weight, system.point_inverse).T @ of_shared.T
     shared += by_centres.T @ by_centres
-    return Covariances(
-        poses, shared, _sds_of_motions(inverse, middle, position, (gauge, h), motion_S2), by_rows, by_region
-    )
+    return Covariances(poses, shared, by_rows, by_region)
 
 
 def _dense(by_keypoint: csr_array, information: csr_array) -> Array:
@@ -244,28 +238,3 @@ def _gauge_free_sandwich(inverse: Array, middle: Array, gauge: Array, h: Array) 
     gauge_T = np.swapaxes(gauge_N67, 1, 2)
     cross = of_h @ gauge_T
     return blocks - cross - np.swapaxes(cross, 1, 2) + gauge_N67 @ (h_middle @ h_inverse.T) @ gauge_T
-
-
-def _sds_of_motions(
-    inverse: Array, middle: Array, position_N3: Array, gauge_and_h: tuple[Array, Array], motion_S2: Ints
-) -> Array:
-    """(S,) the largest standard deviation of each motion, as a fraction of its length.
-
-    The motion R_a^T (p_b - p_a) is free of the gauge but for the model's scale, which the S-transformation takes away.
-    """
-    gauge, h = gauge_and_h
-    gauge_N67 = gauge.reshape(-1, 6, 7)
-    index = local_unknowns(len(position_N3))[:, :6]
-    h_inverse = h @ inverse[index.ravel()]
-    sds = np.empty(len(motion_S2))
-    for first in range(0, len(motion_S2), _CHUNK):
-        a, b = motion_S2[first : first + _CHUNK].T
-        offset = position_N3[b] - position_N3[a]
-        turned = skew(offset)
-        by_inverse = inverse[index[b, 3:]] - inverse[index[a, 3:]] + turned @ inverse[index[a, :3]]
-        by_gauge = gauge_N67[b, 3:] - gauge_N67[a, 3:] + turned @ gauge_N67[a, :3]
-        left = by_inverse - by_gauge @ h_inverse
-        covariance = (left.reshape(-1, len(middle)) @ middle).reshape(left.shape) @ np.swapaxes(left, 1, 2)
-        largest = np.linalg.eigvalsh(covariance)[:, -1]
-        sds[first : first + _CHUNK] = np.sqrt(largest) / np.linalg.norm(offset, axis=1)
-    return sds

@@ -127,13 +127,6 @@ def test_an_error_that_grows_with_distance_is_named(scene: Placed, tmp_path: Pat
     assert failed.name == "session_depth_by_distance" and "differs with distance" in failed.reason
 
 
-def test_what_its_standard_error_leaves_open_is_undecided(scene: Placed, tmp_path: Path) -> None:
-    table = agreement_table(samples_of(scene, tmp_path, 1.06), seed=0)
-    checks, _ = check_depth(table.assign(median_ratio_se=0.01))
-    (of_scale,) = [c for c in checks if c.name == "session_depth_scale"]
-    assert of_scale.status is Status.UNDECIDED and not of_scale.exclusions and not len(of_scale.undecided_rows)
-
-
 def test_too_little_depth_judges_nothing(scene: Placed, tmp_path: Path) -> None:
     frames, images, placed = scene
     frames.loc[2:, "depth"] = None

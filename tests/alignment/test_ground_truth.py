@@ -60,7 +60,6 @@ def test_without_noise_the_truth_comes_back_exactly(walks: Walks) -> None:
     assert metres.max() < 1e-9 and degrees.max() < 1e-6
     # Rule of the map's origin and heading: those of the first session's VIO frame.
     first = aligned.fits[0]
-    np.testing.assert_allclose(first.map_T_vio_yaw, np.eye(4), atol=1e-9)
     np.testing.assert_allclose(first.map_T_vio, np.eye(4), atol=1e-9)
     np.testing.assert_allclose(ground_truth(aligned)[:60], poses_of(scene.frames, "vio_cam")[:60], atol=1e-9)
     assert (aligned.checks["status"] == "passed").all()
@@ -261,7 +260,7 @@ def test_without_gravity_the_map_is_metric_and_has_no_vertical(walks: Walks) -> 
     # No part of the covariance is a tilt of axes that may be any; its axes are those of the first session's VIO.
     assert np.isfinite(np.stack(list(gt["covariance"]))).all()
     np.testing.assert_allclose(aligned.fits[0].map_T_vio, np.eye(4), atol=1e-9)
-    assert aligned.sessions["map_vio_tx"].notna().all() and aligned.sessions["map_vio_yaw_tx"].isna().all()
+    assert aligned.sessions["map_vio_tx"].notna().all()
     assert not {"yaw_rate", "ate_yaw"} & set(aligned.drift["definition"])
     vertical = aligned.checks.set_index("check").loc["map_vertical"]
     assert vertical["status"] == "undecided" and "gravity" in vertical["advice"]
@@ -276,10 +275,8 @@ def test_a_session_without_gravity_is_in_the_map_of_the_others(walks: Walks) -> 
     assert true_S_map.rotation[1, 1] == pytest.approx(1, abs=1e-9) and metres.max() < 1e-9
     assert (aligned.checks["status"] == "passed").all()
     assert set(aligned.ground_truth["vertical_source"]) == {"gravity"}
-    yaw = aligned.sessions.set_index("session_id")["map_vio_yaw_tx"].notna()
-    assert yaw.to_dict() == {"walk0": False, "walk1": True, "walk2": True}
     # Origin and heading are those of the first session that knows what is up.
-    np.testing.assert_allclose(aligned.fits[1].map_T_vio_yaw, np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(aligned.fits[1].map_T_vio, np.eye(4), atol=1e-9)
 
 
 @pytest.mark.parametrize("wrong", [0, 1])

@@ -61,7 +61,6 @@ def test_a_room_of_two_walks_becomes_one_right_model(room: Room) -> None:
     assert selected["held_out_matches"] > 20
     assert selected["held_out_px"] == pytest.approx(selected["fitted_px"], rel=0.5)
     assert images["held_out_matches"].sum() == 2 * selected["held_out_matches"]
-    assert images["triangulation_deg"].between(1, 90).all()
     attempts = pd.read_parquet(folder / "attempts.parquet")
     assert attempts["outcome"].tolist() == ["accepted"]
     assert attempts[["consistent_fraction", "selected"]].to_numpy().tolist() == [[1.0, True]]
@@ -110,28 +109,15 @@ def test_photos_without_vio_and_times_become_one_right_model(room: Room) -> None
     assert np.linalg.norm(placed - room.true_T_cam[:, :3, 3], axis=1).max() < 0.02
 
 
-def test_a_zoom_a_frame_without_features_and_a_log_without_poses_between_images_are_named(
+def test_a_frame_without_features_and_a_log_without_poses_between_images_are_named(
     room: Room, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A blank last frame in one walk; in the other the last frames show the middle of what the lens sees."""
-    pictures = room.data.captures("room")
-    cv2.imwrite(str(pictures / "two/6.jpg"), np.full((240, 320), 128, np.uint8))
-    for number in (4, 5, 6):
-        path = str(pictures / f"one/{number}.jpg")
-        cv2.imwrite(
-            path, cv2.resize(read_picture(Path(path))[18:222, 24:296], (320, 240), interpolation=cv2.INTER_CUBIC)
-        )
-    room.note_images()
+    _blank(room, 13)
     folder = _run(room)
     said = " ".join(capsys.readouterr().err.split())
     images = pd.read_parquet(folder / "images.parquet").set_index("frame_id")
     assert images["not_registered"].dropna().to_dict() == {"two/000006": NotRegistered.NO_VERIFIED_PAIRS}
     assert not images.loc["two/000006", "registered"] and "1 of 14 frames not registered: no verified pairs" in said
-    steps = pd.read_parquet(folder / "intrinsics.parquet").set_index("session_id")
-    assert steps["focal_step_frame_id"].dropna().to_dict() == {"one": "one/000004"}
-    assert 1.1 < steps["focal_step"].max() < 320 / 272  # the prior of focus holds it back
-    assert "session one: the focal length of the images changes by a factor of 1.1" in said
-    assert "at frame one/000004" in said
     assert "no VIO poses within 0.3 s before and after 14 of 14 images (7 of one, 7 of two)" in said
 
 
@@ -257,17 +243,6 @@ def test_frames_without_a_model_end_in_an_error_that_lists_the_attempts(room: Ro
     with pytest.raises(UserError, match="no model of the frames") as caught:
         _run(room, "retry=false")
     assert "default (incremental)" in str(caught.value) and "more_pairs" not in str(caught.value)
-
-
-@pytest.mark.slow
-def test_a_later_attempt_can_be_selected(room: Room) -> None:
-    # Nothing proposes a pair across the walks at first, and half of the frames are too few.
-    folder = _run(room, "sequence_pairs=3", "vio_pairs=0", "retrieval_pairs=0")
-    attempts = pd.read_parquet(folder / "attempts.parquet")
-    assert attempts["outcome"].tolist() == ["frames_missing", "accepted"]
-    assert attempts["attempt"].tolist() == ["default", "more_pairs"]
-    images = pd.read_parquet(folder / "images.parquet")
-    assert images["registered"].sum() == attempts["registered"].iloc[-1] >= 0.9 * len(images)
 
 
 def test_an_image_that_is_gone_is_named(room: Room) -> None:

@@ -42,7 +42,7 @@ ground_truth 2.0: One row a frame: where its camera was in the map (metric, +y u
     distortion (list<float64>): OpenCV's k1, k2, p1, p2, k3, ... that go with the pose
     camera_origin (CameraOrigin): where the lens is from, before the model adjusts it
 
-sessions 3.0: One row a session, or a part of one between VIO jumps or in another SfM model: where its VIO frame lies in
+sessions 4.0: One row a session, or a part of one between VIO jumps or in another SfM model: where its VIO frame lies in
         the map, and how well it fits. Null where the part has too few frames.
     session_id (string): capture session
     segment (int64): part of the session between two VIO jumps, from 0
@@ -56,7 +56,6 @@ sessions 3.0: One row a session, or a part of one between VIO jumps or in anothe
     with_ground_truth (int64): frames with ground truth
     path_m (float64, m in vio): length of the VIO path through the frames
     map_vio (pose?): map_T_vio, rigid fit
-    map_vio_yaw (pose?): map_T_vio, fit of yaw and translation only
     scale_source (string): what gives the map its metric scale, as in ground_truth
     scale (float64?): metres of this session's VIO per metre of the map
     scale_sd (float64?): standard error of scale, by the scatter of its steps
@@ -67,8 +66,6 @@ sessions 3.0: One row a session, or a part of one between VIO jumps or in anothe
     rotation_rms_deg (float64?, deg in map): residual of the rigid fit
     rotation_median_deg (float64?, deg in map): residual of the rigid fit
     rotation_max_deg (float64?, deg in map): residual of the rigid fit
-    yaw_position_rms_m (float64?, m in map): residual of the yaw and translation fit
-    yaw_rotation_rms_deg (float64?, deg in map): residual of the yaw and translation fit
     sim3_position_rms_m (float64?, m in map): residual of a fit with scale, all frames
     sim3_rotation_median_deg (float64?, deg in map): residual of a fit of rotations alone, all frames
 

@@ -5,7 +5,7 @@ from groundwalk.store.schemas import tables
 TABLES = tables(
     "sfm",
     """
-images 4.0: One row a frame of import.frames: where its model has its camera (sfm: COLMAP's arbitrary gauge and scale,
+images 5.0: One row a frame of import.frames: where its model has its camera (sfm: COLMAP's arbitrary gauge and scale,
         its own for each model_id).
     frame_id (string): <session>/<six digits>
     registered (bool): the frame is in one of the selected models
@@ -22,7 +22,6 @@ images 4.0: One row a frame of import.frames: where its model has its camera (sf
     keypoints (int64): features found in the image
     observations (int64): features that see a point of the model
     track_length (float64?): mean number of frames that see its points
-    triangulation_deg (float64?, deg): median over its points of their widest angle
     reprojection_px (float64?, px): mean distance of its features from their points
     held_out_matches (int64): verified matches that were left out of mapping and adjustment
     held_out_px (float64?, px): median Sampson distance of held-out matches from the final poses
@@ -30,8 +29,6 @@ images 4.0: One row a frame of import.frames: where its model has its camera (sf
     covariance (list<float64>?, rad, sfm units in sfm): 6x6, row-major, of (rotation, position) with true rotation =
         exp(rotation) @ sfm_R_cam and true position = sfm_t_cam + position; relative to the model as a whole; null where
         it can't be had
-    motion_sd (float64?): standard deviation of the motion to the frame 5 m on, or from that 5 m back, by VIO's path, as
-        a fraction of its length: the larger
 
 lenses 4.0: The lenses and rolling shutters of each model, shared by the frames of a device, as adjusted with it.
     model_id (string): the model: models.model_id
@@ -59,7 +56,7 @@ lenses 4.0: The lenses and rolling shutters of each model, shared by the frames 
         stated with phones' usual one, and with no rolling shutter but a stated one
     held_out_px (float64?, px): median Sampson distance of the same matches with the lens estimated from pairs
 
-intrinsics 2.1: Each session's focal lengths as adjusted with each model, against the logged ones.
+intrinsics 3.0: Each session's focal lengths as adjusted with each model, against the logged ones.
     model_id (string): the model: models.model_id
     session_id (string): the session
     frames (int64): registered frames of the session in the model
@@ -67,9 +64,6 @@ intrinsics 2.1: Each session's focal lengths as adjusted with each model, agains
     focal_scale_sd (float64?): standard deviation of focal_scale
     focus_sd (float64): standard deviation of a frame's focal length about it, as a fraction
     angular_sd (float64, rad/s): standard deviation of a frame's angular velocity by VIO
-    focal_step (float64?): factor by which the images' focal lengths step within the session where the logged ones don't
-        (digital zoom, another lens); null: no such step
-    focal_step_frame_id (string?): first frame after the step
 
 models 3.0: Every model of the selected attempt, in the order in which mapping built it.
     model_id (string): <mapping>/<number>

@@ -1,8 +1,6 @@
 """Bundle adjustment with lens, rolling shutter and focus: derivatives, recovery, honest sigmas."""
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pycolmap
@@ -29,14 +27,9 @@ from groundwalk.sfm.cameras.adjustment import (
     shared_columns,
     with_step,
 )
-from groundwalk.sfm.cameras.calibration import CalibratedLens, Calibration
-from groundwalk.sfm.cameras.model_adjustment import CameraLog, with_likeliest_sds, with_shrunk_sds
-from groundwalk.sfm.cameras.motion import Motion
+from groundwalk.sfm.cameras.model_adjustment import with_likeliest_sds, with_shrunk_sds
 from groundwalk.sfm.cameras.normal_equations import Solver, System
-from groundwalk.sfm.mapping.built import BuiltModel
 from groundwalk.sfm.quality.covariance import coherence, covariances
-from groundwalk.sfm.tables import camera_tables
-from groundwalk.store.choices import CameraOrigin
 from tests.known import there
 
 _FRAMES, _POINTS, _NOISE_PX = 24, 2500, 0.2
@@ -233,7 +226,7 @@ def _system(seed: int) -> tuple[System, Array, Array]:
 )
 def test_lens_readout_and_poses_are_recovered(first_row: str, k3: float) -> None:
     adjusted, truth, cameras = _adjusted(0, first_row, k3=k3)
-    shared = there(covariances(adjusted, np.array([[0, 1]]))).shared
+    shared = there(covariances(adjusted)).shared
     off = adjusted.cameras.coefficients[0, [0, 1, 4]] - [*_LENS, k3]
     assert np.all(np.abs(off) < 3 * np.sqrt(np.diag(shared)[:3])) and np.sqrt(shared[2, 2]) < 0.06
     assert adjusted.cameras.readout_s[0] == pytest.approx(_READOUT_S, abs=0.0015)
@@ -282,7 +275,7 @@ def test_turns_and_sideways_steps_tell_the_focal_length() -> None:
     sd = []
     for straight in (True, False):
         adjusted, _, _ = _adjusted(0, straight=straight)
-        estimate = there(covariances(adjusted, np.array([[0, 1]])))
+        estimate = there(covariances(adjusted))
         sd.append(np.sqrt(np.diag(estimate.shared)[-2:]).max())
     assert sd[1] < sd[0] / 2
 
@@ -296,7 +289,7 @@ def test_the_focal_lengths_sigma_round_an_object_allows_for_a_principal_point_th
         off = adjusted.cameras.log_focal - cameras.log_focal
         for centre_sd_px, of_one in zip((0.0, 4.0), ratios, strict=True):
             priors = replace(adjusted.priors, centre_sd_px=np.full(1, centre_sd_px))
-            estimate = there(covariances(replace(adjusted, priors=priors), np.array([[0, 1]])))
+            estimate = there(covariances(replace(adjusted, priors=priors)))
             of_one += (off / np.sqrt(np.diag(estimate.shared)[-2:])).tolist()
     without, with_them = np.sqrt(np.mean(np.square(ratios), axis=1))
     assert without > 2
@@ -335,7 +328,7 @@ def test_sigmas_of_lens_readout_and_poses_are_honest() -> None:
     shared, position = [], []
     for seed in range(6):
         adjusted, truth, cameras = _adjusted(seed)
-        estimate = there(covariances(adjusted, np.array([[0, 1]])))
+        estimate = there(covariances(adjusted))
         off = (camera_unknowns(adjusted.cameras) - camera_unknowns(cameras))[10 * _FRAMES :]
         shared.append(off[:4] / np.sqrt(np.diag(estimate.shared)[:4]))
         fit = fit_sim3(truth.sfm_T_cam[:, :3, 3], adjusted.bundle.sfm_T_cam[:, :3, 3])
@@ -370,42 +363,6 @@ def test_sds_of_focus_and_of_vios_angular_velocities_are_learned_from_images(mon
     # One frame at a jump of VIO says nothing of the others.
     adjusted.priors.mean.angular[3] += 1.0
     assert np.sqrt(np.mean(with_likeliest_sds(adjusted).angular_sd ** 2)) / _ANGULAR_SD < 1.8
-
-
-@pytest.mark.parametrize("lenses", [1, 2])
-def test_tables_of_cameras_have_a_row_each_and_no_sigma_where_none_was_estimated(lenses: int) -> None:
-    adjusted, _, _ = _adjusted(0)
-    of_frame = np.arange(_FRAMES) * lenses // _FRAMES
-    cameras = replace(
-        adjusted.cameras,
-        lens=of_frame,
-        coefficients=np.repeat(adjusted.cameras.coefficients, lenses, axis=0),
-        readout_s=np.repeat(adjusted.cameras.readout_s, lenses),
-    )
-    exact = np.eye(3).tolist()
-    known = [
-        CalibratedLens(str(k), 1, [0.0] * 8, 0.0, exact, CameraOrigin.PRIOR, [0.0] * 8, [0.0] * 8, 0.0, exact)
-        for k in (0, 1)
-    ]
-    still = np.zeros((_FRAMES, 3))
-    log = CameraLog(
-        cameras.intrinsics,
-        cameras.readout_line,
-        np.array(["walk-1", "walk-2"])[cameras.session],
-        cameras.t_s,
-        adjusted.bundle.sfm_T_cam,
-        np.zeros(_FRAMES),
-        Calibration(known, of_frame),
-        Motion(still, np.ones(_FRAMES), still, np.ones(_FRAMES, bool)),
-    )
-    model = cast(BuiltModel, SimpleNamespace(model_id="incremental/0"))
-    part = (replace(adjusted, cameras=cameras), np.arange(_FRAMES))
-    lens_rows, session_rows = camera_tables(log, [model], [part], [None])
-    assert list(lens_rows["frames"]) == [_FRAMES // lenses] * lenses
-    assert np.allclose(lens_rows["k3"], adjusted.cameras.coefficients[0, 4])
-    assert lens_rows[["k1_sd", "k2_sd", "k3_sd", "readout_sd_s"]].isna().all(axis=None)
-    assert list(session_rows["session_id"]) == ["walk-1", "walk-2"]
-    assert session_rows["focal_scale_sd"].isna().all()
 
 
 def _position_error_m(bundle: Bundle, truth: Bundle) -> float:

@@ -10,18 +10,8 @@ import pytest
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.lens import rational_of_fisheye
 from groundwalk.sfm.database import image_id, pose_of
-from groundwalk.sfm.mapping.mappers import from_poses, hierarchical, incremental, pipeline_options
+from groundwalk.sfm.mapping.mappers import from_poses, hierarchical, incremental
 from groundwalk.sfm.plugins import Mapper, MappingInput
-
-
-@pytest.mark.parametrize(("size", "expected_px"), [((320, 240), 1.0), ((1440, 1920), 1.92)])
-def test_the_first_pair_is_held_to_a_pixel_or_a_thousandth_of_the_image(
-    tmp_path: Path, size: tuple[int, int], expected_px: float
-) -> None:
-    given = MappingInput(tmp_path / "database.db", tmp_path, 0)
-    with pycolmap.Database.open(given.database) as database:
-        database.write_camera(pycolmap.Camera(model="PINHOLE", width=size[0], height=size[1], params=[300, 300, 1, 1]))
-    assert pipeline_options(given).mapper.init_max_error == pytest.approx(expected_px)
 
 
 def test_where_no_first_pair_is_so_exact_mapping_begins_within_colmaps_own_limit(

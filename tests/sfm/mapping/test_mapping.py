@@ -6,9 +6,11 @@ import pytest
 from scipy.linalg import LinAlgError
 
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.cameras.model_adjustment import adjust_model, with_lenses_of
+from groundwalk.sfm.cameras.model_adjustment import adjust_model
+from groundwalk.sfm.mapping.built import BuiltModel
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.sfm.tables import camera_tables
 from tests.sfm.synthetic_model import log_of, synthetic_model
 
 
@@ -44,15 +46,14 @@ def test_a_model_of_a_handful_of_observations_is_not_determined() -> None:
         adjust_model(model, _keypoints(model), log_of(model), SfmSettings())
 
 
-def test_further_models_start_from_the_lens_of_the_largest() -> None:
-    model, settings = synthetic_model(), SfmSettings()
-    log = log_of(model, settings)
-    adjusted, rows = adjust_model(model, _keypoints(model), log, settings)
-    (before,), (after,) = log.calibration.lenses, with_lenses_of(log, adjusted, rows).calibration.lenses
-    assert after.prior_coefficients == adjusted.cameras.coefficients[0].tolist() != before.prior_coefficients
-    assert after.prior_readout_s == adjusted.cameras.readout_s[0]
-    assert (np.diag(after.prior_covariance) < np.diag(before.prior_covariance)).all()
-    assert (after.coefficients, after.stated) == (before.coefficients, before.stated)
+def test_cameras_of_a_model_without_covariances_have_no_sigma() -> None:
+    model = synthetic_model()
+    log = log_of(model)
+    adjusted = adjust_model(model, _keypoints(model), log, SfmSettings())
+    lenses, sessions = camera_tables(log, [BuiltModel.of("incremental", 0, model)], [adjusted], [None])
+    assert lenses[["k1_sd", "k2_sd", "k3_sd", "readout_sd_s"]].isna().all(axis=None)
+    assert sessions["focal_scale_sd"].isna().all() and sessions["session_id"].tolist() == ["walk"]
+    assert lenses["frames"].tolist() == sessions["frames"].tolist() == [6]
 
 
 def _leave(model: pycolmap.Reconstruction, image_id: int, count: int) -> None:

@@ -3,8 +3,6 @@
 import shutil
 from itertools import combinations
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,7 +12,6 @@ from numpy.typing import NDArray
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import skew
 from groundwalk.sfm.database import create_database, has_results, image_id, image_names, read_pair_results
-from groundwalk.sfm.messages import report_excluded_pairs
 from groundwalk.sfm.pairs.features import extract_features
 from groundwalk.sfm.pairs.matched import MIN_INLIERS, are_verified, are_weak, checkpoint, matched_pairs, status_of
 from groundwalk.sfm.pairs.matching import guide_pairs, guided_matches, match_pairs, mutual_matches
@@ -125,24 +122,6 @@ def test_a_pair_is_verified_by_its_inliers_and_by_vio_and_read_as_it_was_written
         assert are_verified(table).tolist() == [True, False, False]
         assert status_of(table).tolist() == ["verified", "too_few_inliers", "inconsistent_with_vio"]
     pd.testing.assert_frame_equal(read, matched, check_dtype=False)
-
-
-def test_pairs_without_vio_are_not_said_to_be_inconsistent_with_it() -> None:
-    matched = _table(np.array([(0, 1), (1, 2), (2, 3)]), [90] * 3, [90] * 3)
-    matched["reason"] = [PairInconsistency.ROTATION, PairInconsistency.GRAVITY, PairInconsistency.GRAVITY]
-
-    def said(posed: list[bool]) -> list[str]:
-        lines: list[str] = []
-        run: Any = SimpleNamespace(say=lines.append)
-        vio: Any = SimpleNamespace(posed=np.array(posed))
-        report_excluded_pairs(run, matched, vio)
-        return lines
-
-    with_vio, without = said([True, True, False, False])
-    assert "2 verified pairs excluded: relative pose inconsistent with VIO" in with_vio
-    assert "1 verified pairs excluded: relative pose inconsistent with gravity by the reference poses" in without
-    (line,) = said([False] * 4)
-    assert "inconsistent with VIO" not in line
 
 
 def sift_like(rng: np.random.Generator, count: int) -> NDArray[np.float32]:

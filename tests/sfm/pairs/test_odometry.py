@@ -11,7 +11,6 @@ from groundwalk.sfm.pairs.odometry import (
     Odometry,
     compare_with_vio,
     drift_between,
-    motions_over,
     odometry,
     without_tilted,
 )
@@ -118,10 +117,3 @@ def test_frames_without_vio_are_compared_with_nothing() -> None:
     assert np.isfinite(vio.travelled_m).all()
     found = compare_with_vio(pairs, np.tile(np.eye(4), (2, 1, 1)), np.full(2, _WIDE), vio)
     assert (found["reason"] == "").all() and found["rotation"].isna().all()
-
-
-def test_motions_reach_as_far_as_asked_on_and_back() -> None:
-    session = np.array(["a", "a", "b", "a", "a", "b"], object)
-    travelled_m = np.array([0.0, 2.0, 0.0, 6.0, 6.5, 4.9])
-    assert motions_over(session, travelled_m, 5.0).tolist() == [[0, 3], [0, 4]]
-    assert motions_over(session, travelled_m, 4.0).tolist() == [[0, 3], [1, 3], [1, 4], [2, 5]]
