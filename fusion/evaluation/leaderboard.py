@@ -19,7 +19,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.fusion.evaluation.evaluate import joined_walks
-from groundwalk.fusion.evaluation.fuse import Fused, Run, fuse, pose_errors
+from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, stacked
+from groundwalk.fusion.evaluation.summary import figures, score_columns
 from groundwalk.fusion.evaluation.validation import ERRORS, ahead_of
 from groundwalk.fusion.files.parquet import Files
 from groundwalk.fusion.files.walks import Inputs
@@ -28,7 +29,6 @@ from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.fusion.settings import FuseSettings
 from groundwalk.fusion.walk import Walk, known, with_odometry
 from groundwalk.scoring import errors as scoring_errors
-from groundwalk.scoring.errors import accuracy_shares
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.checkout import git_revision
 from groundwalk.store.cores import machine
@@ -158,22 +158,13 @@ def _case_rows(case: Case, options: Mapping[str, MethodOptions]) -> list[dict[st
 
 
 def _row(case: Case, name: str, options: MethodOptions) -> dict[str, Any]:
-    fused = [fuse(Run(name, "", case.model), walk, method(name).make(options)) for walk in case.walks]
-    errors = [pose_errors(f.live_map_T_cam, f.walk.map_T_cam) for f in fused]
-    judged = [known(f.walk.map_T_cam) for f in fused]
-    position, rotation = (
-        np.concatenate([e[i][there] for e, there in zip(errors, judged, strict=True)]) for i in (0, 1)
-    )
-    sure = np.concatenate([f.walk.sure[there] for f, there in zip(fused, judged, strict=True)])
+    fused = fuse_all(Run(name, "", case.model), case.walks, partial(method(name).make, options))
+    errors = score_columns(stacked(error_rows(f) for f in fused), "live_")
     row: dict[str, Any] = {"group": case.group, "scene": case.scene, "model": case.model, "method": name}
-    row |= {"causal": method(name).causal, "walks": len(case.walks), "frames": len(position)}
-    row["coverage_pct"] = 100 * float(np.isfinite(position).mean())
-    for figure, values in (("position_{}_m", position), ("rotation_{}_deg", rotation)):
+    row |= {"causal": method(name).causal, "walks": len(case.walks), **figures(*errors, len(errors[0]))}
+    for figure, values in zip(("position_p95_m", "rotation_p95_deg"), errors, strict=False):
         failed = np.sort(np.where(np.isfinite(values), values, np.inf))
-        row[figure.format("mean")] = float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
-        row[figure.format("median")] = float(np.median(failed))
-        row[figure.format("p95")] = float(failed[int(0.95 * len(failed))])
-    row |= {f"{level}_pct": 100 * share for level, share in accuracy_shares(position[sure], rotation[sure]).items()}
+        row[figure] = float(failed[int(0.95 * len(failed))])
     inside = np.concatenate([within_bounds(f) for f in fused])
     for i, quantity in enumerate(("position", "rotation")):
         row[f"{quantity}_within_pct"] = 100 * float(inside[:, i].mean()) if len(inside) else np.nan
@@ -293,9 +284,9 @@ def _by_scene(rows: pd.DataFrame) -> pd.DataFrame:
         row["ahead"] = "none: the predictor alone" if best["ahead"] == RAW else best["ahead"]
         names = [best["ahead"], *[name for name in (RAW, RULE) if name != best["ahead"]]]
         for label, name in zip(("ahead", *names[1:]), names, strict=True):
-            figures = indexed.loc[(*key, name)]
-            answered = np.isfinite(figures[ERRORS[0]])
-            row[f"{label}: mean"] = f"{figures[ERRORS[0]]:.3g} m, {figures[ERRORS[1]]:.3g}°" if answered else "no pose"
+            errors = indexed.loc[(*key, name), ERRORS]
+            answered = np.isfinite(errors[ERRORS[0]])
+            row[f"{label}: mean"] = f"{errors[ERRORS[0]]:.3g} m, {errors[ERRORS[1]]:.3g}°" if answered else "no pose"
         best_row = indexed.loc[(*key, best["ahead"])]
         row["p95"] = f"{best_row['position_p95_m']:.3g} m, {best_row['rotation_p95_deg']:.3g}°"
         listing.append(row)

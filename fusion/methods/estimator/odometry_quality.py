@@ -64,6 +64,11 @@ class _Filters:
         self._shared += H_b / S * error
         self._P[:] = P_a - H_a**2 / S, P_b - H_b**2 / S, P_ab - H_a * H_b / S
 
+    def observe(self, apart: Array, size: float, added: float) -> None:
+        """Take in errors (axes,) of a prediction that odometry has no part in but for a variance `added`."""
+        S, axes = size * _SIZE + added, len(apart)
+        self._log_odds -= axes / 2 * np.log(S) + (_DOF + axes) / 2 * np.log1p(apart @ apart / S / _DOF)
+
     def factors(self, sizes_known: bool, near: float | None = None) -> tuple[float, float]:
         """Of the usual variances of drift and of a prediction's error: means of their logarithms over hypotheses. near:
         what drift's factor is expected to be, where that isn't 1."""
@@ -75,9 +80,10 @@ class _Filters:
 
 class OdometryQuality:
     """Fed with each prediction; `factors` (4,) are of the usual variances of drift in x, y, z and yaw, `sizes` (6,) of
-    the expected sizes of predictions' errors."""
+    the expected sizes of predictions' errors. lean_variance: of odometry's vertical against the map's, an axis."""
 
-    def __init__(self) -> None:
+    def __init__(self, lean_variance: float) -> None:
+        self._lean_variance = lean_variance
         self._position, self._height, self._yaw = _Filters(2), _Filters(1), _Filters(1)
         self.factors, self.sizes = np.ones(4), np.ones(6)
         self.is_known = False
@@ -104,26 +110,28 @@ class OdometryQuality:
     ) -> None:
         """Take in a prediction.
 
-        measured: its position and its yaw against odometry, (4,). size: variances expected of its position's and
-        yaw's errors; sizes_known: they were stated. step (3,), moved_m, drift (4,): odometry's since the last one, its
-        length with turns counted in, and usual variances. yaw: the alignment's, and its variance, as known before.
+        measured: its position, its yaw against odometry and its tilt, (6,). size: variances expected of its position's
+        and yaw's errors; sizes_known: they were stated. step (3,), moved_m, drift (4,): odometry's since the last one,
+        its length with turns counted in, and usual variances. yaw: the alignment's, and its variance, as known before.
         """
         x, y, z = step.tolist()
         c, s = cos(yaw[0]), sin(yaw[0])
         self._at += c * x + s * z, y, c * z - s * x
         self._since += moved_m, drift[0], drift[1], drift[3], _COHERENT * min(yaw[1], _MAX_YAW) * (x * x + z * z)
-        apart, turned = measured[:3] - self._at, measured[3:]
+        apart, turned = measured[:3] - self._at, measured[3:4]
         if not self._begun:
             self._begun = True
             self._position.begin(apart[::2], size[0])
             self._height.begin(apart[1:2], size[0])
             self._yaw.begin(turned, size[1])
+            self._yaw.observe(measured[4:], size[1], self._lean_variance)
             self._since[:] = 0.0
         elif self._since[0] >= _EVERY_M and not self.paused:
             metres, position, height, heading, added = self._since.tolist()
             self._position.update(apart[::2], position, added, size[0], metres)
             self._height.update(apart[1:2], height, 0.0, size[0], metres)
             self._yaw.update(turned, heading, 0.0, size[1], metres)
+            self._yaw.observe(measured[4:], size[1], self._lean_variance)
             self._since[:] = 0.0
             position, position_size = self._position.factors(sizes_known)
             height, _ = self._height.factors(sizes_known, position)
