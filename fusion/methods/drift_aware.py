@@ -52,7 +52,7 @@ _LOSS, _LOSS_IN_A_JUMP = 1e-6, 0.05  # probability that odometry lost its frame:
 _TURN_LENGTH_M = 1.0  # motion that a turn by one radian counts as
 _SIDE_TURN, _SIDE_TURN_COUNT = 0.7, 20.0  # correlation of errors to the side with yaw's, and predictions it counts as
 # Predictions that errors' sizes count as which are assumed first, stated by covariances, and seen beside odometry.
-_SIZE_COUNT, _SIZE_COUNT_STATED, _SIZE_COUNT_SEEN = 0.3, 10.0, 2.0
+_SIZE_COUNT, _SIZE_COUNT_STATED, _SIZE_COUNT_SEEN = 0.3, 10.0, 12.0
 _AXIS_COUNT, _AXIS_COUNT_STATED = 10.0, 100.0  # predictions that errors' being as large along each axis counts as
 # Of odometry's pose of one frame, one sigma an axis: ARKit beside the ground truth of three real captures.
 _JITTER_DEG, _JITTER_M = 0.05, 0.002
