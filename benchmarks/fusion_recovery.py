@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from benchmarks import fusion_inputs as inputs
 from benchmarks.regressor_errors.model import REGRESSORS
-from benchmarks.results import circumstances, markdown_table
+from benchmarks.results import circumstances, markdown_table, write_page
 from groundwalk.fusion.evaluation.fuse import Run, fuse, pose_errors
 from groundwalk.fusion.evaluation.leaderboard import RULE, within_bounds
 from groundwalk.fusion.methods import METHODS, resolve_options
@@ -31,7 +31,6 @@ from groundwalk.fusion.walk import Walk
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.simulation.scenes import NAMES
 from groundwalk.store.cli import new_app
-from groundwalk.store.files import written_aside
 from groundwalk.store.progress import track
 
 app = new_app(__doc__ or "")
@@ -243,13 +242,8 @@ def main(
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         parts = pool.imap(partial(rows_of, methods=chosen), pairs)
         rows = pd.DataFrame([row for rows in track(parts, "scenes and regressors", len(pairs)) for row in rows])
-    out.mkdir(parents=True, exist_ok=True)
-    with written_aside(out / "fusion_recovery.csv") as partial_file:
-        rows.to_csv(partial_file, index=False, lineterminator="\n", float_format="%.6g")
-    text = "\n\n".join(_page(rows, chosen)) + "\n"
-    with written_aside(out / "fusion_recovery.md") as partial_file:
-        partial_file.write_text(text, encoding="utf-8")
-    print(text)
+    write_page(out, "fusion_recovery", _page(rows, chosen))
+    rows.to_csv(out / "fusion_recovery.csv", index=False, lineterminator="\n", float_format="%.6g")
 
 
 def _page(rows: pd.DataFrame, methods: Sequence[str]) -> Iterable[str]:

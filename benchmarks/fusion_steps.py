@@ -14,11 +14,10 @@ import numpy as np
 import typer
 
 from benchmarks.fusion_inputs import drifting_odometry
-from benchmarks.results import circumstances, markdown_table
+from benchmarks.results import circumstances, markdown_table, write_page
 from groundwalk.fusion.methods.drift_aware import DriftAware
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.store.cli import new_app
-from groundwalk.store.files import written_aside
 from groundwalk.store.progress import track
 
 app = new_app(__doc__ or "")
@@ -70,20 +69,15 @@ def main(
     """Run the walk, and write what came out."""
     heading = ["prediction", "part", "median ms", "p99 ms", "99.9 % ms", "state as JSON, kB"]
     rows = [row for every in (_RATE, 1) for row in step_rows(minutes, every)]
-    text = "\n\n".join(
-        [
-            "# Steps of drift_aware over a long walk",
-            "Written by `python -m benchmarks.fusion_steps`; not to be edited. A simulated walk of "
-            f"{minutes:g} minutes at {_RATE} frames a second. Processor time of each step on one thread, which what "
-            f"else runs on the machine lengthens; asked for is a p99 of {_LIMIT_MS} ms that doesn't grow.",
-            circumstances(),
-            markdown_table([heading, *rows]),
-        ]
-    )
-    out.mkdir(parents=True, exist_ok=True)
-    with written_aside(out / "fusion_steps.md") as partial_file:
-        partial_file.write_text(text + "\n", encoding="utf-8")
-    print(text)
+    sections = [
+        "# Steps of drift_aware over a long walk",
+        "Written by `python -m benchmarks.fusion_steps`; not to be edited. A simulated walk of "
+        f"{minutes:g} minutes at {_RATE} frames a second. Processor time of each step on one thread, which what "
+        f"else runs on the machine lengthens; asked for is a p99 of {_LIMIT_MS} ms that doesn't grow.",
+        circumstances(),
+        markdown_table([heading, *rows]),
+    ]
+    write_page(out, "fusion_steps", sections)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="fuse",
-    version=32,
+    version=33,
     settings=FuseSettings,
     needs=("import", "align", "localise", "train"),
     run=Lazy("groundwalk.fusion.stage:run"),

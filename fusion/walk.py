@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
-from groundwalk.scoring.errors import sure_enough
 
 Flags = NDArray[np.bool_]
 
@@ -47,11 +46,6 @@ class Walk:
     def has_odometry(self) -> bool:
         """Whether any frame has a pose by odometry; without, there is nothing to fuse predictions with."""
         return bool(known(self.vio_T_cam).any())
-
-    @property
-    def sure(self) -> Flags:
-        """Which frames' ground truth can tell whether a pose is within an accuracy level, (N,)."""
-        return np.ones(len(self), dtype=bool) if self.quality is None else sure_enough(self.quality)
 
 
 def with_odometry(walks: Iterable[Walk]) -> list[Walk]:

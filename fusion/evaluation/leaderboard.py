@@ -7,7 +7,7 @@ group, over which figures are averaged. A file `about.txt` in the folder says wh
 import hashlib
 import multiprocessing
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -19,7 +19,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.fusion.evaluation.evaluate import joined_walks
-from groundwalk.fusion.evaluation.fuse import Fused, Run, fuse, pose_errors
+from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, stacked
+from groundwalk.fusion.evaluation.summary import figures, score_columns
 from groundwalk.fusion.evaluation.validation import ERRORS, ahead_of
 from groundwalk.fusion.files.parquet import Files
 from groundwalk.fusion.files.walks import Inputs
@@ -28,7 +29,6 @@ from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.fusion.settings import FuseSettings
 from groundwalk.fusion.walk import Walk, known, with_odometry
 from groundwalk.scoring import errors as scoring_errors
-from groundwalk.scoring.errors import accuracy_shares
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.checkout import git_revision
 from groundwalk.store.cores import machine
@@ -38,8 +38,7 @@ from groundwalk.store.progress import track
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import dataset_frames, read_table
 
-RAW, RULE, LATE = "raw", "paper_rule", "smoother"
-LAGS_S = (0.0, 1.0, 5.0, 30.0)
+RAW, RULE = "raw", "paper_rule"
 KEY = ["group", "scene", "model"]
 _TABLES = ("frames", "ground_truth", "predictions")
 _PAGE, _TABLE = "fusion.md", "fusion.csv"
@@ -62,27 +61,6 @@ class Case:
     scene: str
     model: str
     walks: list[Walk]
-
-
-@dataclass(frozen=True)
-class Entrant:
-    """A method with its options, under the name that the tables have."""
-
-    name: str
-    method: str
-    options: MethodOptions
-
-    def localiser(self) -> Any:
-        return method(self.method).make(self.options)
-
-
-def entrants(names: Sequence[str] = ()) -> list[Entrant]:
-    """Methods by id, all there are if none is named, and the smoother with each lag."""
-    chosen = list(dict.fromkeys([RAW, RULE, *(names or METHODS)]))
-    listing = [Entrant(name, name, resolve_options(name)) for name in chosen]
-    if LATE in chosen:
-        listing += [Entrant(f"{LATE}, {lag:g} s late", LATE, resolve_options(LATE, {"lag_s": lag})) for lag in LAGS_S]
-    return listing
 
 
 # ---------------------------------------------------------------- cases
@@ -160,9 +138,10 @@ def _cases(group: str, inputs: Inputs) -> Iterator[Case]:
 # ---------------------------------------------------------------- figures
 
 
-def scores(cases: Sequence[Case], methods: Sequence[Entrant], processes: int = 1) -> pd.DataFrame:
-    """A row a case and method: errors over all frames in time, coverage, bounds and the time of a step."""
-    work = partial(_case_rows, methods=methods)
+def scores(cases: Sequence[Case], methods: Sequence[str] = (), processes: int = 1) -> pd.DataFrame:
+    """A row a case and method, all there are if none is named: errors over all frames in time, coverage and bounds."""
+    options = {name: resolve_options(name) for name in (RAW, RULE, *(methods or METHODS))}
+    work = partial(_case_rows, options=options)
     rows: list[dict[str, Any]] = []
     if processes == 1:
         for case in track(cases, "cases"):
@@ -174,30 +153,21 @@ def scores(cases: Sequence[Case], methods: Sequence[Entrant], processes: int = 1
     return pd.DataFrame(rows)
 
 
-def _case_rows(case: Case, methods: Sequence[Entrant]) -> list[dict[str, Any]]:
-    return [_row(case, entrant) for entrant in methods]
+def _case_rows(case: Case, options: Mapping[str, MethodOptions]) -> list[dict[str, Any]]:
+    return [_row(case, name, chosen) for name, chosen in options.items()]
 
 
-def _row(case: Case, entrant: Entrant) -> dict[str, Any]:
-    fused = [fuse(Run(entrant.method, "", case.model), walk, entrant.localiser()) for walk in case.walks]
-    errors = [pose_errors(f.live_map_T_cam, f.walk.map_T_cam) for f in fused]
-    judged = [known(f.walk.map_T_cam) for f in fused]
-    position, rotation = (
-        np.concatenate([e[i][there] for e, there in zip(errors, judged, strict=True)]) for i in (0, 1)
-    )
-    sure = np.concatenate([f.walk.sure[there] for f, there in zip(fused, judged, strict=True)])
-    row: dict[str, Any] = {"group": case.group, "scene": case.scene, "model": case.model, "method": entrant.name}
-    row |= {"causal": method(entrant.method).causal, "walks": len(case.walks), "frames": len(position)}
-    row["coverage_pct"] = 100 * float(np.isfinite(position).mean())
-    for name, values in (("position_{}_m", position), ("rotation_{}_deg", rotation)):
+def _row(case: Case, name: str, options: MethodOptions) -> dict[str, Any]:
+    fused = fuse_all(Run(name, "", case.model), case.walks, partial(method(name).make, options))
+    errors = score_columns(stacked(error_rows(f) for f in fused), "live_")
+    row: dict[str, Any] = {"group": case.group, "scene": case.scene, "model": case.model, "method": name}
+    row |= {"causal": method(name).causal, "walks": len(case.walks), **figures(*errors, len(errors[0]))}
+    for figure, values in zip(("position_p95_m", "rotation_p95_deg"), errors, strict=False):
         failed = np.sort(np.where(np.isfinite(values), values, np.inf))
-        row[name.format("mean")] = float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
-        row[name.format("median")] = float(np.median(failed))
-        row[name.format("p95")] = float(failed[int(0.95 * len(failed))])
-    row |= {f"{level}_pct": 100 * share for level, share in accuracy_shares(position[sure], rotation[sure]).items()}
+        row[figure] = float(failed[int(0.95 * len(failed))])
     inside = np.concatenate([within_bounds(f) for f in fused])
-    for i, name in enumerate(("position", "rotation")):
-        row[f"{name}_within_pct"] = 100 * float(inside[:, i].mean()) if len(inside) else np.nan
+    for i, quantity in enumerate(("position", "rotation")):
+        row[f"{quantity}_within_pct"] = 100 * float(inside[:, i].mean()) if len(inside) else np.nan
     return row
 
 
@@ -264,7 +234,7 @@ def run_leaderboard(folders: Sequence[Path], data: Path, out: Path, methods: Seq
         )
     _refuse_other_files(out)
     make_writable(out)
-    print(write_leaderboard(out, scores(cases, entrants(methods), processes), sources, revision))
+    print(write_leaderboard(out, scores(cases, methods, processes), sources, revision))
 
 
 def _refuse_other_files(out: Path) -> None:
@@ -289,17 +259,11 @@ def write_leaderboard(out: Path, rows: pd.DataFrame, sources: list[str], revisio
     rows.assign(**head).to_csv(out / _TABLE, index=False, float_format="%.6g", lineterminator="\n")
     lines = [*(f"- {name}: {value}" for name, value in head.items()), *(f"- {source}" for source in sources)]
     sections = [_HEADER, "\n".join(lines)]
-    late = rows["method"].str.startswith(f"{LATE}, ")
-    methods = rows[~late]
-    table = ratios(methods)
+    table = ratios(rows)
     for group in table["group"].unique():
         part = table[table["group"] == group].drop(columns="group")
-        here = methods[methods["group"] == group]
+        here = rows[rows["group"] == group]
         sections += [f"## {group}: {_counts(here)}", markdown(part), "### Scene by scene", markdown(_by_scene(here))]
-    lags = lag_ratios(rows)
-    if len(lags):
-        sections += ["## Later answers", f"Mean errors of `{LATE}` with `lag_s` over those with none, geometric means."]
-        sections += [markdown(lags)]
     text = "\n\n".join(sections) + "\n"
     (out / _PAGE).write_text(text, encoding="utf-8")
     return text
@@ -320,33 +284,19 @@ def _by_scene(rows: pd.DataFrame) -> pd.DataFrame:
         row["ahead"] = "none: the predictor alone" if best["ahead"] == RAW else best["ahead"]
         names = [best["ahead"], *[name for name in (RAW, RULE) if name != best["ahead"]]]
         for label, name in zip(("ahead", *names[1:]), names, strict=True):
-            figures = indexed.loc[(*key, name)]
-            answered = np.isfinite(figures[ERRORS[0]])
-            row[f"{label}: mean"] = f"{figures[ERRORS[0]]:.3g} m, {figures[ERRORS[1]]:.3g}°" if answered else "no pose"
+            errors = indexed.loc[(*key, name), ERRORS]
+            answered = np.isfinite(errors[ERRORS[0]])
+            row[f"{label}: mean"] = f"{errors[ERRORS[0]]:.3g} m, {errors[ERRORS[1]]:.3g}°" if answered else "no pose"
         best_row = indexed.loc[(*key, best["ahead"])]
         row["p95"] = f"{best_row['position_p95_m']:.3g} m, {best_row['rotation_p95_deg']:.3g}°"
         listing.append(row)
     return pd.DataFrame(listing).fillna("")
 
 
-def lag_ratios(rows: pd.DataFrame) -> pd.DataFrame:
-    """Mean errors of late answers over those without a lag, a row a group and lag; empty where no lags were run."""
-    none = rows[rows["method"] == f"{LATE}, {LAGS_S[0]:g} s late"].set_index(KEY)[ERRORS]
-    listing = []
-    for lag, name in [*((lag, f"{LATE}, {lag:g} s late") for lag in LAGS_S), (np.inf, LATE)]:
-        part = rows[rows["method"] == name].set_index(KEY)[ERRORS]
-        if len(part) and len(none):
-            means = (part / none.reindex(part.index)).apply(np.log).groupby("group", sort=False).mean().apply(np.exp)
-            for group, (position, rotation) in means.iterrows():
-                listing.append({"group": group, "lag s": lag, "position": position, "rotation": rotation})
-    return pd.DataFrame(listing)
-
-
 def markdown(table: pd.DataFrame) -> str:
-    """A table in Markdown; an index with a name is its first column."""
-    plain = table.reset_index() if table.index.name else table
-    lines = ["| " + " | ".join(map(str, plain.columns)) + " |", "|---" * len(plain.columns) + "|"]
-    lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in plain.itertuples(index=False)]
+    """A table in Markdown."""
+    lines = ["| " + " | ".join(table.columns) + " |", "|---" * len(table.columns) + "|"]
+    lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in table.itertuples(index=False)]
     return "\n".join(lines)
 
 

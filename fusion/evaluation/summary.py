@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from math import comb
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,28 +25,25 @@ def summarise(errors: pd.DataFrame) -> pd.DataFrame:
     uncertain for them.
     """
     rows = []
-    for run, group in errors.groupby(RUN, sort=False):
-        same_model = errors[(errors["model"] == run[2]) & (errors["scene"] == run[3])]
-        for subset, frames, prefix in subsets(group, same_model):
-            for scored, columns in (("method", prefix), ("raw", "raw_")):
-                rows.append(
-                    dict(zip(RUN, run, strict=True))
-                    | {"subset": subset, "scored": scored}
-                    | figures(*score_columns(frames, columns), len(group))
-                )
+    for key, frames, prefix, total in _subsets_of_runs(errors):
+        for scored, columns in (("method", prefix), ("raw", "raw_")):
+            rows.append(key | {"scored": scored} | figures(*score_columns(frames, columns), total))
     return pd.DataFrame(rows)
 
 
-def subsets(group: pd.DataFrame, same_model: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, str]]:
-    """Name, frames and column prefix of each subset of one run's frames."""
-    if METHODS[group["method"].iloc[0]].fuses:
-        for name, statuses in SUBSETS.items():
-            yield name, group[group["status"].isin(statuses)], ""
-    yield "all", group, "live_"
-    causal = same_model[same_model["method"].map({n: METHODS[n].causal for n in same_model["method"].unique()})]
-    runs = len(causal[["method", "options"]].drop_duplicates())
-    answers = causal.loc[causal["live_position_m"].notna(), "frame_id"].value_counts()
-    yield "common", group[answers.reindex(group["frame_id"], fill_value=0).to_numpy() == runs], "live_"
+def _subsets_of_runs(errors: pd.DataFrame) -> Iterator[tuple[dict[str, Any], pd.DataFrame, str, int]]:
+    """The key columns, frames and column prefix of each subset of each run, and how many frames the run has."""
+    for run, group in errors.groupby(RUN, sort=False):
+        parts = [("all", group, "live_")]
+        if METHODS[run[0]].fuses:
+            parts[:0] = [(name, group[group["status"].isin(statuses)], "") for name, statuses in SUBSETS.items()]
+        same_model = errors[(errors["model"] == run[2]) & (errors["scene"] == run[3])]
+        causal = same_model[same_model["method"].map({n: METHODS[n].causal for n in same_model["method"].unique()})]
+        runs = len(causal[["method", "options"]].drop_duplicates())
+        answers = causal.loc[causal["live_position_m"].notna(), "frame_id"].value_counts()
+        in_common = answers.reindex(group["frame_id"], fill_value=0).to_numpy() == runs
+        for subset, frames, prefix in (*parts, ("common", group[in_common], "live_")):
+            yield dict(zip(RUN, run, strict=True)) | {"subset": subset}, frames, prefix, len(group)
 
 
 def score_columns(frames: pd.DataFrame, prefix: str) -> tuple[Array, Array, Flags]:
@@ -79,20 +77,17 @@ def figures(position: Array, rotation: Array, certain: Flags, total: int) -> dic
 def intervals(errors: pd.DataFrame, seed: int = 0) -> pd.DataFrame:
     """Table fuse.intervals from fuse.errors: a row a method, model, scene, subset and figure of fuse.summary."""
     rows = []
-    for run, group in errors.groupby(RUN, sort=False):
-        same_model = errors[(errors["model"] == run[2]) & (errors["scene"] == run[3])]
-        for subset, frames, prefix in subsets(group, same_model):
-            sessions = frames["session_id"].to_numpy(object)
-            names = np.unique(sessions)
-            if not len(names):
-                continue
-            weights = draws(len(names), seed)[:, np.searchsorted(names, sessions)]
-            key = dict(zip(RUN, run, strict=True)) | {"subset": subset}
-            for figure, values in drawn_figures(*score_columns(frames, prefix), weights):
-                low, high = interval(values[1:]) if len(names) > 1 else (None, None)
-                rows.append(
-                    key
-                    | {"figure": figure, "value": finite(values[0]), "low": low, "high": high}
-                    | {"sessions": len(names), "draws": comb(2 * len(names) - 1, len(names))}
-                )
+    for key, frames, prefix, _ in _subsets_of_runs(errors):
+        sessions = frames["session_id"].to_numpy(object)
+        names = np.unique(sessions)
+        if not len(names):
+            continue
+        weights = draws(len(names), seed)[:, np.searchsorted(names, sessions)]
+        for figure, values in drawn_figures(*score_columns(frames, prefix), weights):
+            low, high = interval(values[1:]) if len(names) > 1 else (None, None)
+            rows.append(
+                key
+                | {"figure": figure, "value": finite(values[0]), "low": low, "high": high}
+                | {"sessions": len(names), "draws": comb(2 * len(names) - 1, len(names))}
+            )
     return pd.DataFrame(rows)

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from groundwalk.fusion.evaluation.fuse import Run, fuse_all, pose_errors
+from groundwalk.fusion.evaluation.fuse import Run, error_rows, fuse_all, stacked
+from groundwalk.fusion.evaluation.summary import figures, score_columns
 from groundwalk.fusion.methods import method
 from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.fusion.walk import Walk
@@ -22,13 +23,10 @@ def validation_rows(walks: list[Walk], model: str, options: Mapping[str, MethodO
         if not method(name).causal:
             continue
         fused = fuse_all(Run(name, "", model), walks, partial(method(name).make, chosen))
-        position, rotation = np.concatenate([pose_errors(f.live_map_T_cam, f.walk.map_T_cam) for f in fused], axis=1)
-        judged = sum(int(np.isfinite(w.map_T_cam).all(axis=(1, 2)).sum()) for w in walks)
-        answered = np.isfinite(position)
-        row: dict[str, Any] = {"method": name, "model": model, "scene": walks[0].scene, "frames": judged}
-        row["coverage_pct"] = 100 * int(answered.sum()) / judged
-        means = (float(e[answered].mean()) if answered.any() else None for e in (position, rotation))
-        rows.append(row | dict(zip(ERRORS, means, strict=True)))
+        errors = stacked(error_rows(f) for f in fused)
+        of_all = figures(*score_columns(errors, "live_"), len(errors))
+        row = {"method": name, "model": model, "scene": walks[0].scene}
+        rows.append(row | {figure: of_all[figure] for figure in ("frames", "coverage_pct", *ERRORS)})
     table = pd.DataFrame(rows)
     best = ahead_of(table)
     return table.assign(ahead=[name == best for name in table["method"]])

@@ -18,7 +18,6 @@ class Method(Entry):
     fuses: it uses odometry; the one that doesn't is the raw regressor, which the others are held against.
     causal: it answers a frame from that frame and the ones before it, as an app must. One that isn't makes an
     `Offline`, which sees whole walks; tables say so and never rank it with the causal ones.
-    gives_covariance: its estimates have covariances.
     needs_vertical: odometry and map must both have +y up; a walk without gravity, or in a map without a vertical, comes
     without odometry.
     """
@@ -29,7 +28,6 @@ class Method(Entry):
     make: Callable[..., Any] = field(repr=False)
     options: type[MethodOptions]
     causal: bool
-    gives_covariance: bool
     fuses: bool = True
     needs_vertical: bool = False
     visible: bool = False

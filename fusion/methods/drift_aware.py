@@ -52,7 +52,7 @@ _LOSS, _LOSS_IN_A_JUMP = 1e-6, 0.05  # probability that odometry lost its frame:
 _TURN_LENGTH_M = 1.0  # motion that a turn by one radian counts as
 _SIDE_TURN, _SIDE_TURN_COUNT = 0.7, 20.0  # correlation of errors to the side with yaw's, and predictions it counts as
 # Predictions that errors' sizes count as which are assumed first, stated by covariances, and seen beside odometry.
-_SIZE_COUNT, _SIZE_COUNT_STATED, _SIZE_COUNT_SEEN = 0.3, 10.0, 2.0
+_SIZE_COUNT, _SIZE_COUNT_STATED, _SIZE_COUNT_SEEN = 0.3, 10.0, 12.0
 _AXIS_COUNT, _AXIS_COUNT_STATED = 10.0, 100.0  # predictions that errors' being as large along each axis counts as
 # Of odometry's pose of one frame, one sigma an axis: ARKit beside the ground truth of three real captures.
 _JITTER_DEG, _JITTER_M = 0.05, 0.002
@@ -81,10 +81,10 @@ class DriftAware(Localiser):
     options: DriftAwareOptions
     _not_saved = (*Localiser._not_saved, "_prior", "_last")
 
-    def __init__(self, options: DriftAwareOptions | None = None, lag_s: float = 0.0) -> None:
-        """`lag_s`: how old a frame that `revised` is asked for may be. Predictions up to that age are all kept."""
+    def __init__(self, options: DriftAwareOptions | None = None, forgetful: bool = True) -> None:
+        """`forgetful`: memory is bounded; else all predictions are kept, for `revised`."""
         super().__init__()
-        self._lag_s = lag_s
+        self._forgetful = forgetful
         self.options = o = options or DriftAwareOptions()
         self._prior = Prior(side_turn_correlation(_SIDE_TURN), _SIDE_TURN_COUNT, _SIZE_COUNT, _AXIS_COUNT)
         self._usual_sizes = np.repeat([radians(o.rotation_sd_deg), o.position_sd_m], 3)
@@ -96,7 +96,7 @@ class DriftAware(Localiser):
         self._forget()
 
     def _forget(self) -> None:
-        self._keyframes = Keyframes(self.options.keyframes, self._lag_s)
+        self._keyframes = Keyframes(self.options.keyframes if self._forgetful else None)
         self._covariance = self._prior.shape.copy()  # of normalised errors
         self._last: Fit | None = None
         self._known: Array | None = None  # the fit's own covariance of the newest keyframe's state
@@ -105,7 +105,7 @@ class DriftAware(Localiser):
         self._odometry_step = OdometryStep()
         # Of odometry's vertical against the map's, about its x and z (rad), and the variance an axis.
         self._lean, self._lean_variance = np.zeros(2), radians(self.options.tilt_sd_deg) ** 2
-        self._quality = OdometryQuality()
+        self._quality = OdometryQuality(self._lean_variance)
         self._calibration = Calibration()
         self._along_m = 0.0  # motion since the start, turns counted in
         self._drift = np.zeros(4)  # variances since the newest keyframe
@@ -195,7 +195,7 @@ class DriftAware(Localiser):
             expected = turn.T @ (shrunk(stated, self._shrinkage) + self._jitter) @ turn
         normalised = whitening(expected, vio_T_cam[:3, :3])
         state = self._carried(vio_T_cam[:3, 3]) if len(self._keyframes) else np.array([*position, yaw])
-        self._learn_quality(position, yaw, normalised, state, vio_T_cam)
+        self._learn_quality(np.array([*position, yaw, tilt * z, -tilt * x]), normalised, state, vio_T_cam)
         bridged = self._odometry_step.added_variance.any()
         loss = _LOSS_IN_A_JUMP if bridged else 0.5 if self._may_be_lost else _LOSS
         if self._may_be_lost and not bridged:
@@ -225,14 +225,14 @@ class DriftAware(Localiser):
         self._count += 1
         self._unconfirmed -= 1
 
-    def _learn_quality(self, position: Array, yaw: float, normalised: Array, state: Array, vio_T_cam: Array) -> None:
+    def _learn_quality(self, measured: Array, normalised: Array, state: Array, vio_T_cam: Array) -> None:
         if self._may_be_lost:
             self._quality.lost()
         self._quality.paused = self._inconsistent
         # A yaw is measured as it was before, give or take half a turn.
-        turned = state[3] + (yaw - state[3] + pi) % (2 * pi) - pi
+        measured[3] = state[3] + (measured[3] - state[3] + pi) % (2 * pi) - pi
         self._quality.update(
-            np.array([*position, turned]),
+            measured,
             expected_variances(normalised),
             np.zeros(3) if self._may_be_lost else np.array(self._odometry_step.step(vio_T_cam[:3, 3])),
             self._along_m - (self._keyframes.rows[-1]["along"] if len(self._keyframes) else 0.0),

@@ -7,7 +7,7 @@ from groundwalk.fusion.methods.last_good import LastGood, LastGoodOptions
 from groundwalk.fusion.methods.paper_rule import PaperRule, PaperRuleOptions
 from groundwalk.fusion.methods.pose_graph import PoseGraph, PoseGraphOptions
 from groundwalk.fusion.methods.raw import Raw, RawOptions
-from groundwalk.fusion.methods.smoother import Smoother, SmootherOptions
+from groundwalk.fusion.methods.smoother import Smoother
 from groundwalk.fusion.methods.vio_oracle import VioOracle, VioOracleOptions
 from groundwalk.fusion.methods.window import Window, WindowOptions
 from groundwalk.store import colours
@@ -20,7 +20,6 @@ RAW = Method(
     make=Raw,
     options=RawOptions,
     causal=True,
-    gives_covariance=False,
     fuses=False,
     visible=True,
 )
@@ -32,7 +31,6 @@ PAPER_RULE = Method(
     make=PaperRule,
     options=PaperRuleOptions,
     causal=True,
-    gives_covariance=False,
     visible=True,
 )
 LAST_GOOD = Method(
@@ -43,7 +41,6 @@ LAST_GOOD = Method(
     make=LastGood,
     options=LastGoodOptions,
     causal=True,
-    gives_covariance=False,
 )
 WINDOW30 = Method(
     id="window30",
@@ -53,7 +50,6 @@ WINDOW30 = Method(
     make=Window,
     options=WindowOptions,
     causal=True,
-    gives_covariance=False,
 )
 POSE_GRAPH = Method(
     id="pose_graph",
@@ -63,7 +59,6 @@ POSE_GRAPH = Method(
     make=PoseGraph,
     options=PoseGraphOptions,
     causal=True,
-    gives_covariance=True,
 )
 ERROR_STATE = Method(
     id="error_state",
@@ -73,7 +68,6 @@ ERROR_STATE = Method(
     make=ErrorState,
     options=ErrorStateOptions,
     causal=True,
-    gives_covariance=True,
 )
 DRIFT_AWARE = Method(
     id="drift_aware",
@@ -83,19 +77,17 @@ DRIFT_AWARE = Method(
     make=DriftAware,
     options=DriftAwareOptions,
     causal=True,
-    gives_covariance=True,
     needs_vertical=True,
     visible=True,
 )
 SMOOTHER = Method(
     id="smoother",
     label="smoother",
-    meaning="drift_aware that answers lag_s late, or after the whole walk",
+    meaning="drift_aware that answers after the whole walk",
     colour=(117, 112, 179),
     make=Smoother,
-    options=SmootherOptions,
+    options=DriftAwareOptions,
     causal=False,
-    gives_covariance=True,
     needs_vertical=True,
 )
 VIO_ORACLE = Method(
@@ -106,5 +98,4 @@ VIO_ORACLE = Method(
     make=VioOracle,
     options=VioOracleOptions,
     causal=False,
-    gives_covariance=False,
 )

@@ -7,9 +7,7 @@ say that the alignment has drifted. docs/explanation/fusion.md lists the paper's
 """
 
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from dataclasses import replace
 from functools import cached_property
 from typing import Literal
 
@@ -69,56 +67,6 @@ class PaperRuleOptions(PairOptions):
         return super().gates | {"similarity": self.gate}
 
 
-class Verdict(StrEnum):
-    WAITING = "waiting"  # alignment goes on
-    LOCKED = "locked"  # the last `run_frames` frames are reliable and give a new reference
-    RELIABLE = "reliable"
-    UNRELIABLE = "unreliable"
-    DRIFTED = "drifted"  # reliable, and the one that sends the rule back to alignment
-
-
-@dataclass
-class Rule:
-    """The rule's state machine. It knows nothing of poses, only which pairs were consistent and which frames drifted.
-
-    optimising: the stage, else alignment.
-    trail: consecutive consistent frames up to the newest, capped at a run's length.
-    drifted: reliable frames in a row that had drifted.
-    """
-
-    optimising: bool = False
-    trail: int = 0
-    drifted: int = 0
-
-    def advance(self, consistent: bool, has_drifted: Callable[[], bool], options: PaperRuleOptions) -> Verdict:
-        """Take in one frame with a prediction.
-
-        consistent: the frame and the last one are consecutive and move alike.
-        has_drifted: whether the frame disagrees with the reference; asked for reliable frames of optimisation only.
-        """
-        full = options.run_frames
-        self.trail = min(self.trail + 1, full) if consistent and self.trail else 1
-        if not self.optimising:
-            return self._lock() if self.trail == full else Verdict.WAITING
-        if not consistent:
-            if options.drift_count == "reset":
-                self.drifted = 0
-            return Verdict.UNRELIABLE
-        self.drifted = self.drifted + 1 if has_drifted() else 0
-        if self.drifted < options.n:
-            return Verdict.RELIABLE
-        if options.realign_from == "recent" and self.trail == full:
-            return self._lock()
-        if options.realign_from != "recent":
-            self.trail = 1 if options.realign_from == "trigger" else 0
-        self.optimising = False
-        return Verdict.DRIFTED
-
-    def _lock(self) -> Verdict:
-        self.optimising, self.drifted = True, 0
-        return Verdict.LOCKED
-
-
 class PaperRule(OdometryLocaliser):
     """The paper's rule, one frame at a time. Frames without a prediction are carried by odometry and change nothing."""
 
@@ -129,7 +77,9 @@ class PaperRule(OdometryLocaliser):
 
     def _forget(self) -> None:
         super()._forget()
-        self._rule = Rule()
+        self._optimising = False  # the stage, else alignment
+        self._trail = 0  # consecutive consistent frames up to the newest, capped at a run's length
+        self._drifted = 0  # reliable frames in a row that had drifted
         self._recent: deque[Predicted] = deque(maxlen=self.options.run_frames)  # newest last
         self._map_T_vio: Array | None = None
 
@@ -143,34 +93,45 @@ class PaperRule(OdometryLocaliser):
     def _fuse(self, t_ns: int, vio_T_cam: Array, map_T_cam_predicted: Array | None) -> Estimate:
         options, map_T_cam = self.options, map_T_cam_predicted
         if map_T_cam is None:
-            estimate = self._carried(vio_T_cam, Status.OPTIMISED if self._rule.optimising else Status.ALIGNING)
-            return replace(estimate, reasons=("no_prediction",))
+            return replace(self._carried(vio_T_cam), reasons=("no_prediction",))
         frame = (t_ns, map_T_cam, vio_T_cam)
         inconsistent, signals = check_pair(self._recent[-1], frame, options) if self._recent else ("", {})
         reasons = (inconsistent,) if inconsistent else ()
         consistent = bool(self._recent) and not inconsistent
-
-        def has_drifted() -> bool:
-            assert self._map_T_vio is not None
-            signals["similarity"] = similarity(map_T_cam, self._map_T_vio @ vio_T_cam, options)
-            return signals["similarity"] <= options.gate
-
         self._recent.append(frame)
-        verdict = self._rule.advance(consistent, has_drifted, options)
-        if verdict is Verdict.LOCKED:
-            times_ns, predicted, odometry = zip(*self._recent, strict=True)
-            self._map_T_vio = reference(np.array(predicted), np.array(odometry), options)
-            confirms = tuple(zip(times_ns[:-1], predicted[:-1], strict=True))
-            return Estimate(map_T_cam, Status.RELIABLE, None, self._map_T_vio, confirms, ("locked",), signals)
-        if verdict in (Verdict.RELIABLE, Verdict.DRIFTED):
-            reasons = ("drift",) if verdict is Verdict.DRIFTED else ()
-            return Estimate(map_T_cam, Status.RELIABLE, map_T_vio=self._map_T_vio, reasons=reasons, signals=signals)
-        if verdict is Verdict.WAITING and self._map_T_vio is None and options.before_first_lock == "prediction":
-            return Estimate(map_T_cam, Status.PREDICTED, reasons=reasons, signals=signals)
-        status = Status.OPTIMISED if verdict is Verdict.UNRELIABLE else Status.ALIGNING
-        return replace(self._carried(vio_T_cam, status), reasons=reasons, signals=signals)
+        self._trail = min(self._trail + 1, options.run_frames) if consistent and self._trail else 1
+        whole_run = self._trail == options.run_frames
+        if not self._optimising:
+            if whole_run:
+                return self._locked(signals)
+            if self._map_T_vio is None and options.before_first_lock == "prediction":
+                return Estimate(map_T_cam, Status.PREDICTED, reasons=reasons, signals=signals)
+            return replace(self._carried(vio_T_cam), reasons=reasons, signals=signals)
+        if not consistent:
+            if options.drift_count == "reset":
+                self._drifted = 0
+            return replace(self._carried(vio_T_cam), reasons=reasons, signals=signals)
+        assert self._map_T_vio is not None
+        signals["similarity"] = similarity(map_T_cam, self._map_T_vio @ vio_T_cam, options)
+        self._drifted = self._drifted + 1 if signals["similarity"] <= options.gate else 0
+        if self._drifted == options.n:
+            if options.realign_from == "recent" and whole_run:
+                return self._locked(signals)
+            if options.realign_from != "recent":
+                self._trail = 1 if options.realign_from == "trigger" else 0
+            self._optimising, reasons = False, ("drift",)
+        return Estimate(map_T_cam, Status.RELIABLE, map_T_vio=self._map_T_vio, reasons=reasons, signals=signals)
 
-    def _carried(self, vio_T_cam: Array, status: Status) -> Estimate:
+    def _locked(self, signals: dict[str, float]) -> Estimate:
+        """The frames of the run are reliable, and give a new alignment."""
+        self._optimising, self._drifted = True, 0
+        times_ns, predicted, odometry = zip(*self._recent, strict=True)
+        self._map_T_vio = reference(np.array(predicted), np.array(odometry), self.options)
+        confirms = tuple(zip(times_ns[:-1], predicted[:-1], strict=True))
+        return Estimate(predicted[-1], Status.RELIABLE, None, self._map_T_vio, confirms, ("locked",), signals)
+
+    def _carried(self, vio_T_cam: Array) -> Estimate:
+        status = Status.OPTIMISED if self._optimising else Status.ALIGNING
         hidden = status is Status.ALIGNING and self.options.while_aligning == "none"
         if self._map_T_vio is None or hidden:
             return Estimate(None, Status.NONE, map_T_vio=self._map_T_vio)

@@ -3,13 +3,11 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.real_predictions import read_poses, real_cases
+from benchmarks.real_predictions import real_cases
 from groundwalk.geometry.poses import Array, heading, make_pose, relative, yaw_rotation
 from groundwalk.scoring.errors import position_error
-from groundwalk.store import UserError
 
 
 def written(folder: Path, frames: int = 12) -> tuple[Array, Path]:
@@ -42,21 +40,3 @@ def test_walks_are_upright_and_in_this_projects_conventions(tmp_path: Path) -> N
     assert not np.array_equal(walk.vio_T_cam, case.walks[2].vio_T_cam)
     turned = heading(walk.map_T_cam[:, :3, :3] @ walk.vio_T_cam[:, :3, :3].transpose(0, 2, 1))
     assert np.ptp(turned) < np.radians(10)
-
-
-def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
-    _, place = written(tmp_path)
-    with pytest.raises(UserError, match="no predictions for Attic"):
-        real_cases(tmp_path, ["Attic"], [0])
-    file = place / "Hall_predict.txt"
-    lines = file.read_text().splitlines()
-    file.write_text("\n".join(lines[1:]))
-    with pytest.raises(UserError, match="aren't of the same frames"):
-        real_cases(tmp_path, ["Hall"], [0])
-    file.write_text("\n".join([*lines[:2], "seq0/frame00001.png 1 2 3"]))
-    with pytest.raises(UserError, match="isn't a pose"):
-        read_poses(file)
-    (place / "Hall_test_gt.txt").unlink()
-    file.write_text("\n".join(lines))
-    with pytest.raises(UserError, match="missing"):
-        real_cases(tmp_path, ["Hall"], [0])

@@ -39,10 +39,10 @@ KEYFRAME = np.dtype(
 class Keyframes:
     """The table. `rows` is a view of what is in use, which writing to changes."""
 
-    def __init__(self, capacity: int, kept_s: float = 0.0) -> None:
-        """`capacity`: how many are kept of those older than `kept_s`; younger ones are all kept."""
-        self.capacity, self.kept_s = capacity, kept_s
-        self._rows = np.zeros(capacity + 1, dtype=KEYFRAME)
+    def __init__(self, capacity: int | None) -> None:
+        """`capacity`: how many are kept; all where None."""
+        self.capacity = capacity
+        self._rows = np.zeros((capacity or 64) + 1, dtype=KEYFRAME)
         self._count = 0
 
     def __len__(self) -> int:
@@ -61,10 +61,8 @@ class Keyframes:
         for name, value in values.items():
             row[name] = value
         self._count += 1
-        times_s = self.rows["time_s"]
-        old = int(np.searchsorted(times_s, times_s[-1] - self.kept_s, side="right"))
-        if old > self.capacity:
-            self.remove(_least(self.rows, old))
+        if self.capacity is not None and self._count > self.capacity:
+            self.remove(_least(self.rows))
 
     def remove(self, index: int) -> None:
         """Take one out; the way to the next one is then the way over it."""
@@ -73,10 +71,10 @@ class Keyframes:
 
 
 @compiled
-def _least(keyframes: Rows, old: int) -> int:
-    """Which of the first `old` keyframes says least."""
+def _least(keyframes: Rows) -> int:
+    """Which keyframe says least."""
     least, index = np.inf, 0
-    for i in range(1, min(old, len(keyframes) - 1)):
+    for i in range(1, len(keyframes) - 1):
         before, here, after = keyframes[i - 1], keyframes[i], keyframes[i + 1]
         apart = after.along - before.along + 1e-6 * (after.time_s - before.time_s)
         # As far apart as they are far back, so that the table reaches far back with few.

@@ -67,17 +67,6 @@ def test_levels_leave_out_uncertain_ground_truth() -> None:
     assert nothing.loc["position_mean_m", "value"] == pytest.approx(np.mean([0.1, 0.1, 9.0, 0.1, 9.0, 9.0]))
 
 
-def test_interval_covers_the_true_mean_about_as_often_as_it_says() -> None:
-    # Sessions differ in their mean error; the true mean over all sessions is 1.
-    rng = np.random.default_rng(1)
-    inside = 0
-    for _ in range(60):
-        sessions = [np.clip(level + 0.1 * rng.standard_normal(10), 0, None) for level in rng.uniform(0.5, 1.5, 20)]
-        found = row_of(intervals(errors_of(sessions)), "position_mean_m")
-        inside += bool(found["low"] <= 1.0 <= found["high"])
-    assert 50 <= inside <= 60
-
-
 def test_missing_frames_make_a_median_infinite_where_half_are_missing() -> None:
     found = intervals(errors_of([np.array([0.1, 0.2, np.nan]), np.array([np.nan, np.nan, 0.3])]))
     median = row_of(found, "position_median_m")

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from groundwalk.fusion.methods import drift_aware
-from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
+from groundwalk.fusion.methods.drift_aware import DriftAware
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, Status
 from groundwalk.fusion.methods.paper_rule import PaperRule
-from groundwalk.fusion.methods.smoother import Smoother, SmootherOptions
+from groundwalk.fusion.methods.smoother import Smoother
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
 from tests.fusion.random_walks import random_walk
@@ -57,40 +57,6 @@ def test_covariance_holds_the_errors(late: bool) -> None:
         assert np.linalg.eigvalsh(covariances).min() > 0
         inside.append(within_bounds(poses(found), truth, covariances)[:, 0])
     assert np.mean(inside) >= 0.9  # 0.94
-
-
-def test_a_long_way_without_predictions_is_as_uncertain_as_odometrys_yaw_makes_it() -> None:
-    options = DriftAwareOptions()
-    localiser, pose = DriftAware(options), np.eye(4)
-    localiser.step(0, pose, pose)
-    for second in range(1, 61):
-        forward = make_pose(np.eye(3), np.array([0.0, 0.0, float(second)]))
-        there(localiser.step(second * 10**9, forward, None).map_T_cam)
-    yaw = 1.02 * np.radians(options.drift_deg_m) ** 2  # a second and metre
-    # A yaw that is a random walk over a way L takes its end aside by the root of q L^3 / 3; half of that on each axis.
-    steps, metres = 60, 60.0
-    expected = metres * options.drift_m**2 * 1.05 + yaw * metres**3 / 6
-    x, _, z, turned = localiser._drift
-    assert np.isclose(turned, steps * yaw) and np.allclose([x, z], expected, rtol=0.05)
-
-
-def test_odometry_between_predictions_changes_little() -> None:
-    """Ten odometry poses a second and one prediction: as good and as sure as at one pose a second."""
-    found: dict[int, list[tuple[float, float]]] = {1: [], 10: []}
-    for seed in range(2):
-        t_ns, truth, vio, apr = upright_walk(seed, 100)
-        for rate in found:
-            fine_ns = np.arange(t_ns[0], t_ns[-1] + 1, 10**9 // rate)
-            odometry = interpolate(t_ns, vio, fine_ns)
-            given = [apr[i // rate] if i % rate == 0 else None for i in range(len(fine_ns))]
-            estimates = answers(DriftAware(), fine_ns, odometry, given)
-            assert all(e.map_T_cam is not None for e in estimates)
-            error = position_error(poses(estimates[::rate]), truth).mean()
-            # The last before a prediction has the largest covariance.
-            sds = [e.signals["position_sd_m"] for e in estimates[rate - 1 :: rate]]
-            found[rate].append((error, float(np.mean(sds))))
-    (error, sd), (fine_error, fine_sd) = (np.mean(found[rate], axis=0) for rate in (1, 10))
-    assert fine_error < 1.1 * error and sd < 1.3 * fine_sd and fine_sd < 1.3 * sd
 
 
 def test_frames_of_reference_do_not_matter() -> None:
@@ -294,16 +260,33 @@ def test_predictions_better_than_odometry_are_followed() -> None:
         assert position_error(fused, truth).mean() < 1.02 * position_error(apr, truth).mean()
 
 
+def turning(vio: Array, turns_deg: Array) -> Array:
+    """Odometry whose yaw drifts by so much a step, (N,)."""
+    turn = np.radians(np.cumsum(turns_deg) - turns_deg[0])
+    steps = (yaw_rotation(turn[:-1]) @ np.diff(vio[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
+    way = np.insert(np.cumsum(steps, axis=0), 0, 0.0, axis=0)
+    return make_pose(yaw_rotation(turn) @ vio[:, :3, :3], vio[0, :3, 3] + way)
+
+
+def test_odometry_that_turns_away_from_the_start_is_not_believed_beside_good_predictions() -> None:
+    """Predictions lean little against odometry's vertical: those that know the way up know the heading."""
+    ratios = []
+    for seed in range(3):
+        t_ns, truth, vio, apr = upright_walk(seed, 40, noise_m=0.05, noise_deg=0.5, outliers=0.0)
+        vio = turning(vio, np.random.default_rng(seed).normal(0, 8.0, 40))
+        fused = poses(answers(DriftAware(), t_ns, vio, apr))
+        ratios.append(rotation_error_deg(fused, truth).mean() / rotation_error_deg(apr, truth).mean())
+    assert np.mean(ratios) < 3.0, ratios  # 2.1; 9.2 without that
+
+
 def localised(seed: int, jitter_deg: float = 0.02) -> tuple[Array, Array, list[Estimate]]:
     """A walk with poses as a structure localiser gives them: millimetres with heavy tails, and stated covariances.
     Odometry drifts by 3 cm and half a degree a step, its vertical leans by 0.05 degrees, and its rotations jitter."""
     rng = np.random.default_rng(seed)
     t_ns, truth, vio, _ = upright_walk(seed, 120)
     count = len(t_ns)
-    turn = np.insert(np.cumsum(rng.normal(0, np.radians(0.5), count - 1)), 0, 0.0)
-    steps = np.diff(vio[:, :3, 3], axis=0) + rng.normal(0, [0.028, 0.005, 0.028], (count - 1, 3))
-    vio[1:, :3, 3] = vio[0, :3, 3] + np.cumsum((yaw_rotation(turn[:-1]) @ steps[:, :, None])[:, :, 0], axis=0)
-    vio[:, :3, :3] = yaw_rotation(turn) @ vio[:, :3, :3]
+    vio[:, :3, 3] += np.insert(np.cumsum(rng.normal(0, [0.028, 0.005, 0.028], (count - 1, 3)), axis=0), 0, 0.0, axis=0)
+    vio = turning(vio, rng.normal(0, 0.5, count))
     vio = make_pose(Rotation.from_rotvec(np.radians([0.05, 0, 0])).as_matrix(), np.zeros(3)) @ vio
     jitter = Rotation.from_rotvec(np.radians(rng.normal(0, jitter_deg, (count, 3))))
     vio[:, :3, :3] = vio[:, :3, :3] @ jitter.as_matrix()
@@ -393,41 +376,14 @@ def test_a_covariance_that_is_none_is_named() -> None:
     assert "covariance_invalid" not in localiser.step(int(t_ns[0]), vio[0], apr[0], None, np.eye(6)).reasons
 
 
-def test_the_later_the_answer_the_better() -> None:
-    error: dict[float | None, list[float]] = {0.0: [], 5.0: [], 30.0: [], None: []}
+def test_answers_after_the_walk_are_better() -> None:
+    ratio = []
     for seed in range(2):
         t_ns, truth, vio, apr = upright_walk(seed, 100)
-        walk = as_walk(t_ns, truth, vio, apr)
-        for lag_s, found in error.items():
-            late = Smoother(SmootherOptions(lag_s=lag_s)).estimates(walk)
-            found.append(position_error(poses(late), truth).mean())
-        in_time = poses(answers(DriftAware(), t_ns, vio, apr))
-        assert np.allclose(poses(Smoother(SmootherOptions(lag_s=0.0)).estimates(walk))[:99], in_time[:99])
-    means = [np.mean(found) for found in error.values()]
-    assert means[1] < 0.95 * means[0] and means[2] < means[1] and means[3] < 1.02 * means[2]
-
-
-def test_late_answers_are_better_where_odometry_is_bad_and_the_table_is_small() -> None:
-    error = []
-    for seed in range(2):
-        t_ns, truth, vio, apr = upright_walk(seed, 150, noise_m=0.1, noise_deg=1.0)
-        vio = vio.copy()
-        vio[:, [0, 2], 3] += np.cumsum(np.random.default_rng(seed).normal(0, 0.3, (150, 2)), axis=0)
-        walk = as_walk(t_ns, truth, vio, apr)
-        late = (Smoother(SmootherOptions(lag_s=lag_s, keyframes=16)).estimates(walk) for lag_s in (0.0, 5.0, 30.0))
-        error.append([position_error(poses(found), truth).mean() for found in late])
-    in_time, *later = np.mean(error, axis=0)
-    assert max(later) < 0.9 * in_time
-
-
-def test_odometry_that_comes_back_is_believed() -> None:
-    ratio = []
-    for seed in range(4):
-        t_ns, truth, vio, apr = upright_walk(seed, 120)
-        gone = [None if 100 <= i < 105 else v for i, v in enumerate(vio)]
-        errors = (rotation_error_deg(x, truth) for x in (poses(answers(DriftAware(), t_ns, gone, apr)), apr))
-        ratio.append(np.divide(*(error[105:115].mean() for error in errors)))
-    assert np.mean(ratio) < 0.6
+        late = Smoother().estimates(as_walk(t_ns, truth, vio, apr))
+        found = (position_error(poses(f), truth).mean() for f in (late, answers(DriftAware(), t_ns, vio, apr)))
+        ratio.append(np.divide(*found))
+    assert np.mean(ratio) < 0.9
 
 
 def test_a_regressor_that_takes_a_step_aside_for_a_turn_is_seen_through(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -447,7 +403,7 @@ def test_a_regressor_that_takes_a_step_aside_for_a_turn_is_seen_through(monkeypa
             unaware.setattr(drift_aware, "_SIDE_TURN", 0.0)
             unaware.setattr(drift_aware, "_SIDE_TURN_COUNT", 1e9)
             without.append(position_error(poses(answers(DriftAware(), t_ns, vio, apr)), truth).mean())
-    assert np.mean(with_it) < 0.9 * np.mean(without)  # 0.85
+    assert np.mean(with_it) < 0.9 * np.mean(without)  # 0.83
 
 
 def test_hopeless_walks_run() -> None:

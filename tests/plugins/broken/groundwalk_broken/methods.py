@@ -23,5 +23,4 @@ WRONG_COVARIANCE = Method(
     make=WrongCovariance,
     options=MethodOptions,
     causal=True,
-    gives_covariance=True,
 )

@@ -45,6 +45,5 @@ METHOD = Method(
     make=KeepFirst,
     options=KeepFirstOptions,
     causal=True,
-    gives_covariance=False,
     visible=True,
 )
