@@ -35,7 +35,7 @@ def _subsets_of_runs(errors: pd.DataFrame) -> Iterator[tuple[dict[str, Any], pd.
     """The key columns, frames and column prefix of each subset of each run, and how many frames the run has."""
     for run, group in errors.groupby(RUN, sort=False):
         parts = [("all", group, "live_")]
-        if METHODS[run[0]].fuses:
+        if METHODS[str(run[0])].fuses:
             parts[:0] = [(name, group[group["status"].isin(statuses)], "") for name, statuses in SUBSETS.items()]
         same_model = errors[(errors["model"] == run[2]) & (errors["scene"] == run[3])]
         causal = same_model[same_model["method"].map({n: METHODS[n].causal for n in same_model["method"].unique()})]
