@@ -71,9 +71,10 @@ _UNDISTORTED = ("stereo", "run-colmap-*.sh", "*undistorted*")
 _WORKSPACES = ("colmap", "distorted", "output", "model")
 # Cameras of one image each are one camera where so many have a focal length this close to the median, about which they
 # scatter by no more than this (one standard deviation). Beyond the second scatter the median is uncertain by it, beyond
-# that of k1 distortion isn't known.
+# that of k1 distortion isn't known. Pinholes whose focal lengths scatter by less are as a phone logged them, for each
+# image.
 _MIN_CAMERAS, _ALIKE_SHARE, _ALIKE_FOCAL, _ALIKE_SCATTER = 3, 0.8, 0.15, 0.05
-_SURE_SCATTER, _MAX_K1_SCATTER = 0.03, 0.02
+_LOGGED_SCATTER, _SURE_SCATTER, _MAX_K1_SCATTER = 0.01, 0.03, 0.02
 
 
 class _Camera(NamedTuple):
@@ -177,7 +178,8 @@ def read(path: Path, limits: Limits) -> Recording:
             )
     by_source = dict[str, tuple[_Image, _Camera | None]]()
     for model, (cameras, images) in used.items():
-        shared, said = _shared_cameras(cameras, images)
+        # Our own exports have each image's focal length as the phone logged it.
+        shared, said = (cameras, []) if is_metric_export(folder) else _shared_cameras(cameras, images)
         notes.extend(said)
         by_source |= {f"{model.name} {image.name}": (image, shared.get(image.camera)) for image in images}
     try:
@@ -219,7 +221,9 @@ def _shared_cameras(cameras: dict[int, _Camera], images: Sequence[_Image]) -> tu
         middle = np.median(params[alike], axis=0)
         scatter = 1.4826 * np.median(np.abs(params[alike] - middle), axis=0)
         focal_scatter, rest = float(scatter[0] / middle[0]), _MODELS[model][1] + 2
-        if alike.sum() < max(_MIN_CAMERAS, _ALIKE_SHARE * len(numbers)) or not focal_scatter <= _ALIKE_SCATTER:
+        least = 0 if rest < params.shape[1] else _LOGGED_SCATTER
+        are_estimates = least <= focal_scatter <= _ALIKE_SCATTER and np.ptp(params, axis=0).any()
+        if alike.sum() < max(_MIN_CAMERAS, _ALIKE_SHARE * len(numbers)) or not are_estimates:
             continue
         if (scatter[rest : rest + 1] > _MAX_K1_SCATTER).any():
             middle[rest:] = 0
