@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from groundwalk.cli import stage_of
@@ -94,7 +95,7 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
         took_s[step] = time.monotonic() - start
 
 
-def _how_far(step: Step, usual_s: dict[Step, float | None], took_s: dict[Step, float]) -> str:
+def _how_far(step: Step, usual_s: Mapping[Step, float | None], took_s: Mapping[Step, float]) -> str:
     """Which stage begins, and how long all that is ahead takes, by how quick those before were this time. `usual_s`:
     what each took the last time, or takes in a demo; None where neither is known."""
     commands = list(usual_s)
