@@ -235,8 +235,8 @@ def _shared_cameras(cameras: dict[int, _Camera], images: Sequence[_Image]) -> tu
         )
     if not said:
         return cameras, []
-    count = f"a single one of {said[0]}" if len(said) == 1 else f"{len(said)}, such as one of {said[0]}"
-    return cameras | joined, [f"{len(joined)} images have a camera each: taken for {count}"]
+    taken_for = f"a single one of {said[0]}" if len(said) == 1 else f"{len(said)}, such as one of {said[0]}"
+    return cameras | joined, [f"{len(joined)} images have a camera each: taken for {taken_for}"]
 
 
 def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[_Image]]:
