@@ -252,7 +252,7 @@ def write_report(folder: Path, data: DataRoot) -> pd.DataFrame:
     columns = ["scene", "profile", "stage", "state", "seconds", "peak_memory_mib", "figures", "message"]
     rows.sort(key=lambda row: [*State].index(row["state"]))
     table = pd.DataFrame(rows, columns=columns).astype({"seconds": float, "peak_memory_mib": float})
-    table = table.assign(message=table["message"].fillna(""))
+    table = table.assign(message=table["message"].astype(object).fillna(""))
     with written_aside(folder / TABLE) as partial:
         table.assign(state=table["state"].astype(str)).to_parquet(partial, index=False)
     with written_aside(folder / PAGE) as partial:

@@ -28,7 +28,7 @@ import functools
 import os
 import struct
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import compress, islice
 from pathlib import Path
@@ -92,11 +92,18 @@ class _Image(NamedTuple):
     translation: tuple[float, ...]
 
 
-class _DataSet(NamedTuple):
-    """A folder with models: their cameras and images by their folders, the largest model first, and the folder in which
-    the images of that one lie."""
+class _Model(NamedTuple):
+    """A model's cameras by their numbers, its images, and notes on it."""
 
-    models: dict[Path, tuple[dict[int, _Camera], list[_Image]]]
+    cameras: dict[int, _Camera]
+    images: list[_Image]
+    notes: list[str]
+
+
+class _DataSet(NamedTuple):
+    """A folder with models, by their folders, the largest first, and the folder in which the images of that one lie."""
+
+    models: dict[Path, _Model]
     images: Path
 
 
@@ -117,8 +124,8 @@ def _read_data_set(path: Path, limits: Limits) -> _DataSet | None:
         if folders := tuple(folder for folder in (*below, sparse, workspace) if _suffix_in(folder)):
             files = [file for folder in folders for name in ("cameras.*", "images.*") for file in folder.glob(name)]
             data_set = _read_models(path, folders, limits, tuple(f.stat().st_mtime_ns for f in (path, *files)))
-            _, listed = next(iter(data_set.models.values()))
-            if workspace == path or _count(data_set.images, (image.name for image in listed)):
+            largest = next(iter(data_set.models.values()))
+            if workspace == path or _count(data_set.images, (image.name for image in largest.images)):
                 return data_set
     return None
 
@@ -133,8 +140,10 @@ def _suffix_in(folder: Path) -> str:
 def _read_models(path: Path, folders: tuple[Path, ...], limits: Limits, written: tuple[int, ...]) -> _DataSet:
     """`written`: when the folder's entries and its models' files last changed."""
     models = {folder: _read_model(folder, limits) for folder in folders}
-    largest_first = sorted(models, key=lambda folder: -len(models[folder][1]))
-    names = [image.name for image in models[largest_first[0]][1]]
+    if not is_metric_export(path):  # our own exports have each image's focal length as the phone logged it
+        models = {folder: _with_shared_cameras(model) for folder, model in models.items()}
+    largest_first = sorted(models, key=lambda folder: -len(models[folder].images))
+    names = [image.name for image in models[largest_first[0]].images]
     beside = in_order(p for p in path.iterdir() if p.is_dir() and p.name != "images" and not p.name.startswith("."))
     # Copies of other sizes (images_2) have the same names: the first that has most of them counts.
     images = max((path / "images", *beside, path), key=lambda folder: _count(folder, names))
@@ -162,26 +171,24 @@ def read(path: Path, limits: Limits) -> Recording:
     folder = data_set_of(path, _images_of) or path
     data_set = _read_data_set(folder, limits)
     assert data_set is not None  # `detect` has seen a model
-    (largest, (_, listed)), *others = data_set.models.items()
-    is_undistorted = any(True for name in _UNDISTORTED for _ in folder.glob(name))
+    (largest, model), *others = data_set.models.items()
+    is_undistorted = any(any(folder.glob(name)) for name in _UNDISTORTED)
     notes, used = [], data_set.models
     if not is_metric_export(folder):
-        used = {largest: data_set.models[largest]}
+        used = {largest: model}
         # Not those of the same images, which COLMAP's own layouts have.
-        names = {image.name for image in listed}
-        apart = {f: len(i) for f, (_, i) in others if not names.issuperset(image.name for image in i)}
-        counts = ", ".join(f"{model.relative_to(folder)} ({count})" for model, count in apart.items())
+        names = {image.name for image in model.images}
+        apart = {f: len(m.images) for f, m in others if not names.issuperset(image.name for image in m.images)}
+        counts = ", ".join(f"{other.relative_to(folder)} ({count})" for other, count in apart.items())
         if apart:
             notes.append(
-                f"{largest.relative_to(folder)} is read, the model with most images ({len(listed)}); each has a world "
+                f"{largest.relative_to(folder)} is read, the model with most images ({len(names)}); each has a world "
                 f"of its own, so these aren't: {counts}"
             )
-    by_source = dict[str, tuple[_Image, _Camera | None]]()
-    for model, (cameras, images) in used.items():
-        # Our own exports have each image's focal length as the phone logged it.
-        shared, said = (cameras, []) if is_metric_export(folder) else _shared_cameras(cameras, images)
-        notes.extend(said)
-        by_source |= {f"{model.name} {image.name}": (image, shared.get(image.camera)) for image in images}
+        notes.extend(model.notes)
+    by_source = {
+        f"{f.name} {image.name}": (image, m.cameras.get(image.camera)) for f, m in used.items() for image in m.images
+    }
     try:
         rows = [(source, parsing.inside(data_set.images, row[0].name), row) for source, row in by_source.items()]
     except parsing.BadRow as error:
@@ -206,17 +213,17 @@ def read(path: Path, limits: Limits) -> Recording:
     return read_reference(path, folder, rows, read_row, tested, notes)
 
 
-def _shared_cameras(cameras: dict[int, _Camera], images: Sequence[_Image]) -> tuple[dict[int, _Camera], list[str]]:
-    """The cameras, of which those of one image each that are alike have the same parameters; and a note on them."""
-    uses = Counter(image.camera for image in images)
+def _with_shared_cameras(found: _Model) -> _Model:
+    """The model, in which cameras of one image each that are alike have the same parameters; a note says so."""
+    uses = Counter(image.camera for image in found.images)
     alone = defaultdict[tuple[str, int, int], list[int]](list)
-    for number, camera in cameras.items():
+    for number, camera in found.cameras.items():
         count, focal = _MODELS.get(camera.model, (0, 0))
         if uses[number] == 1 and focal and len(camera.params) == count:
             alone[camera.model, camera.width, camera.height].append(number)
     joined, said = dict[int, _Camera](), list[str]()
     for (model, width, height), numbers in alone.items():
-        params = np.array([cameras[number].params for number in numbers])
+        params = np.array([found.cameras[number].params for number in numbers])
         alike = np.abs(params[:, 0] / np.median(params[:, 0]) - 1) < _ALIKE_FOCAL
         middle = np.median(params[alike], axis=0)
         scatter = 1.4826 * np.median(np.abs(params[alike] - middle), axis=0)
@@ -234,13 +241,14 @@ def _shared_cameras(cameras: dict[int, _Camera], images: Sequence[_Image]) -> tu
             f"{width}x{height}, focal length {middle[0]:.0f} px (theirs scatter by {100 * focal_scatter:.1f} %)"
         )
     if not said:
-        return cameras, []
+        return found
     taken_for = f"a single one of {said[0]}" if len(said) == 1 else f"{len(said)}, such as one of {said[0]}"
-    return cameras | joined, [f"{len(joined)} images have a camera each: taken for {taken_for}"]
+    notes = [*found.notes, f"{len(joined)} images have a camera each: taken for {taken_for}"]
+    return found._replace(cameras=found.cameras | joined, notes=notes)
 
 
-def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[_Image]]:
-    """Cameras by their number, and images."""
+def _read_model(folder: Path, limits: Limits) -> _Model:
+    """A model as it's written."""
     suffix, most = _suffix_in(folder), limits.max_rows
     cameras, images = folder / f"cameras{suffix}", folder / f"images{suffix}"
     try:
@@ -262,7 +270,7 @@ def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[
             found=error,
             do="write it again with colmap model_converter",
         ) from None
-    return by_number, listed
+    return _Model(by_number, listed, [])
 
 
 def _binary_cameras(file: BinaryIO) -> Iterator[tuple[int, _Camera]]:

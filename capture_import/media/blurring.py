@@ -74,6 +74,8 @@ class PeopleDetector:
                 do=f"make install, which has it, or set {setting_of('import', 'blur = false')}",
             )
         self._of_thread = threading.local()
+        if face_model is None:
+            return
         try:
             self(np.zeros((64, 64, 3), np.uint8))
         except cv2.error as error:
@@ -81,7 +83,7 @@ class PeopleDetector:
                 "the face detector's file can't be used",
                 where=face_model,
                 expected="YuNet, as face_detection_yunet_2023mar.onnx",
-                found=str(error).strip().splitlines()[-1][:200],
+                found=" ".join(str(error).split())[:200],
                 do=f"correct {setting_of('import', 'face_model')} (docs/how-to/blur-faces.md says where it is)",
             ) from None
 
