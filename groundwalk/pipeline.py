@@ -71,6 +71,9 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
     """
     for step in commands:
         check(step, Step("simulate", step.scene) in commands, profile, data)
+    for scene in dict.fromkeys(step.scene for step in commands if step.command == STAGES[0]):
+        if Step("simulate", scene) not in commands and (note := _of_another_profile(scene, profile, data)):
+            console.print(note)
     usual_s: dict[Step, float | None] = {}
     for step in commands:
         last = read_json(data.run(profile, step.scene, step.command) / MANIFEST).get("total_seconds")
@@ -93,6 +96,19 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
         if status:
             sys.exit(status)
         took_s[step] = time.monotonic() - start
+
+
+def _of_another_profile(scene: str, profile: str, data: DataRoot) -> str:
+    """What to say of simulated captures that this profile would have made otherwise; empty where it wouldn't."""
+    other = marker_of(data.captures(scene)).get("profile")
+    if other is None or not data.scene(scene)[0].can_simulate:
+        return ""
+    if is_step_up_to_date(Step("simulate", scene), profile, data):
+        return ""
+    return (
+        f"captures · {scene} · {profile}: simulated for profile {other} and used as they are; for those of {profile}, "
+        f"which take their place: groundwalk simulate --scene {scene} --profile {profile} --data {data.root}"
+    )
 
 
 def _how_far(step: Step, usual_s: Mapping[Step, float | None], took_s: Mapping[Step, float]) -> str:

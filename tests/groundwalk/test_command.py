@@ -16,10 +16,13 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
+from groundwalk import pipeline
 from groundwalk.cli import all_commands, app
 from groundwalk.pipeline import Step, _how_far, run_steps, steps
+from groundwalk.simulation.existing import key_of
+from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.store import DataRoot, UserError
-from groundwalk.store.settings import STAGES
+from groundwalk.store.settings import STAGES, resolve_settings
 from tests.groundwalk.made_up_run import MadeUpRun
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -195,6 +198,25 @@ def test_a_scene_takes_all_stages_and_is_simulated_where_it_may_be(tmp_path: Pat
     assert steps(data, "demo", "Church")[0].command == "import"
     with_captures(data, "Square")
     assert steps(data, "tiny", "Square")[0].command == "import"
+
+
+def test_captures_simulated_for_another_profile_are_named_before_the_first_stage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    data = DataRoot(tmp_path)
+    with_captures(data, "Church", '{"profile": "tiny"}')
+    monkeypatch.setattr(pipeline, "is_up_to_date", lambda *_: True)
+    run_steps(steps(data, "demo", "Church", "import"), "demo", data)
+    told, *others = capfd.readouterr().err.splitlines()
+    assert "simulated for profile tiny" in told
+    assert f"groundwalk simulate --scene Church --profile demo --data {tmp_path}" in told
+    assert all("up to date" in line for line in others)
+    key = key_of("Church", resolve_settings(SimulateSettings, "simulate", data, "demo", "Church"), 0)[0]
+    marker = {"profile": "tiny", "key": key, "sessions": {}}
+    (data.captures("Church") / "0.jpg").unlink()
+    (data.captures("Church") / "SIMULATED.json").write_text(json.dumps(marker))
+    run_steps(steps(data, "demo", "Church", "import"), "demo", data)
+    assert "simulated for" not in capfd.readouterr().err, "the same images whatever the profile is called"
 
 
 def test_a_group_s_scenes_come_before_it(tmp_path: Path) -> None:
