@@ -123,6 +123,9 @@ bench-regressors: $(installed) #! PN, MS-T and PN-Lite beside each other, 3 seed
 bench-recovery: $(installed) #! How fusion methods bear what goes wrong in a walk, and how they start
 	@$(py) -m benchmarks.fusion_recovery
 
+bench-scale: $(installed) #! Import, sfm and align of one place with 500 to 2,500 frames (docs/results); hours
+	@$(py) -m benchmarks.scale
+
 bench-steps: $(installed) #! What a step of drift_aware costs over a walk of half an hour (docs/results)
 	@$(py) -m benchmarks.fusion_steps
 
@@ -167,4 +170,4 @@ help-dev: #! This text
 	@grep -hE '^[a-z-]+:.*#! ' $(MAKEFILE_LIST) | sed 's/:.*#! /\t/' | expand -t 22 | sed 's/^/  /'
 
 .NOTPARALLEL:
-.PHONY: all judge $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench-localise bench-phone bench-regressors bench-recovery bench-steps bench-gates bench-real bench-cameras bench-blurring docs docs-site pictures test-page lock help help-dev
+.PHONY: all judge $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench-localise bench-phone bench-regressors bench-recovery bench-scale bench-steps bench-gates bench-real bench-cameras bench-blurring docs docs-site pictures test-page lock help help-dev

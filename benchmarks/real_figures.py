@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.cost import Cost, run_timed
-from benchmarks.stock import largest_model, matcher_name
+from benchmarks.stock import Pairs, largest_model, pairs_of
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, pose_residuals
 from groundwalk.geometry.poses import Array, rotation_angle
@@ -174,7 +174,7 @@ def _ground_truth_figures(run: Run) -> list[Figure]:
         windows = checks.loc[checks["check"] == "window_position", "value"].max()
         if np.isfinite(windows):
             figures.append(Figure("largest residual to VIO in a window", windows, "m"))
-    pairs = len(images) * (len(images) - 1) / 2 if matcher_name(len(images)) == "exhaustive" else np.nan
+    pairs = len(images) * (len(images) - 1) / 2 if pairs_of(len(images)) == Pairs.EXHAUSTIVE else np.nan
     models = len(list(run.stock_folder.glob("[0-9]*")))
     figures += [Figure("models", models, way=STOCK), Figure("pairs", pairs, way=STOCK)]
     if (model := run.stock_model(len(images))) is not None:
@@ -347,12 +347,18 @@ def placed_alone(paths: Paths) -> tuple[Placed, Placed]:
     )
 
 
+def agreement_alone(run: Run) -> list[Figure]:
+    """Agreement with VIO of each way on all of its frames."""
+    paths = paths_of(run)
+    ours, stock = placed_alone(paths)
+    return _agreement(paths, ours, ALL) + _agreement(paths, stock, ALL, STOCK)
+
+
 def _agreement_figures(run: Run) -> list[Figure]:
     """Agreement with VIO on the frames that both ways have, each way fitted in the same groups; and of each way on all
     of its frames: a model that is folded may be right on those that both have."""
     paths = paths_of(run)
-    ours, stock = placed_alone(paths)
-    figures = _agreement(paths, ours, ALL) + _agreement(paths, stock, ALL, STOCK)
+    figures = agreement_alone(run)
     both = paths.groups(ours=True, stock=True)
     ours, stock = (place(paths.vio_T_cam, poses, both) for poses in (paths.ours_T_cam, paths.stock_T_cam))
     by_way = {OURS: _agreement(paths, ours, COMMON), STOCK: _agreement(paths, stock, COMMON, STOCK)}

@@ -1,11 +1,12 @@
 """Stock COLMAP on the images of an imported scene, as a process of its own: `python -m benchmarks.stock --help`.
 
-Its own SIFT, as many features as we have, in images of 1600 px; every pair matched; incremental mapping with its own
-options.
+Its own SIFT, as many features as we have, in images of 1600 px; incremental mapping with its own options, unless
+`--gravity` takes its global one.
 """
 
 import shutil
 import sys
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -26,23 +27,39 @@ from groundwalk.store.tables import poses_of, read_table
 MOST_EXHAUSTIVE = 600
 """Images up to which every pair is matched; 180,000 pairs take half an hour on two cores."""
 
+SPATIAL_M = 5.0
+"""Images farther apart than this by VIO aren't matched by the spatial matcher."""
+
 _SEQUENTIAL_OVERLAP = 10
 _MAX_IMAGE_SIZE = 1600
+_ANYWHERE_M = 1e3  # standard error of a position that only chooses pairs
+_DOWN = np.array([0.0, -1.0, 0.0])  # in VIO's frame
+
+
+class Pairs(StrEnum):
+    """Which of COLMAP's matchers chooses the pairs."""
+
+    EXHAUSTIVE = "exhaustive"
+    SEQUENTIAL = "sequential"
+    SPATIAL = "spatial"
+
 
 app = new_app(__doc__ or "")
 
 
-def stock_command(scene: str, profile: str, root: DataRoot, folder: Path, settings: SfmSettings) -> list[str]:
+def stock_command(
+    scene: str, profile: str, root: DataRoot, folder: Path, settings: SfmSettings, *options: str
+) -> list[str]:
     """The command that maps an imported scene into `folder` with stock COLMAP; features as `settings` say."""
     return [
         *(sys.executable, "-m", "benchmarks.stock", "--scene", scene, "--profile", profile, "--data", str(root.root)),
-        *("--out", str(folder), "--settings", settings.model_dump_json()),
+        *("--out", str(folder), "--settings", settings.model_dump_json(), *options),
     ]
 
 
-def matcher_name(images: int) -> str:
-    """Which of COLMAP's matchers so many images get."""
-    return "exhaustive" if images <= MOST_EXHAUSTIVE else f"sequential, overlap {_SEQUENTIAL_OVERLAP}"
+def pairs_of(images: int) -> Pairs:
+    """Which matcher so many images get, where none is named."""
+    return Pairs.EXHAUSTIVE if images <= MOST_EXHAUSTIVE else Pairs.SEQUENTIAL
 
 
 def largest_model(folder: Path) -> Path | None:
@@ -99,13 +116,12 @@ def main(
     settings: Annotated[str, typer.Option(help="Settings of the sfm stage as JSON, for its features.")],
     profile: ProfileOption = "demo",
     data: DataOption = Path("data"),
+    pairs: Annotated[Pairs | None, typer.Option(help="Its matcher; by the number of images unless named.")] = None,
     prior_sd_m: Annotated[
         float,
-        typer.Option(
-            help="Give it the VIO's positions as priors with this standard error and a robust loss; of the first "
-            "session alone, as each has axes of its own. 0: none."
-        ),
+        typer.Option(help="Give it VIO's positions as priors with this standard error and a robust loss; 0: none."),
     ] = 0.0,
+    gravity: Annotated[bool, typer.Option("--gravity", help="Its global mapper, told VIO's gravity.")] = False,
 ) -> None:
     """Map an imported scene with stock COLMAP: an OPENCV camera a session, started at the logged intrinsics."""
     sfm_settings, root = SfmSettings.model_validate_json(settings), DataRoot(data)
@@ -129,34 +145,46 @@ def main(
     pycolmap.extract_features(
         database, images, names, camera_mode=mode, extraction_options=extraction, device=pycolmap.Device.cpu
     )
-    _match(database, len(names))
+    chosen = pairs or pairs_of(len(names))
+    if prior_sd_m or gravity or chosen == Pairs.SPATIAL:
+        _write_priors(database, frames, prior_sd_m or _ANYWHERE_M)
+    _match(database, chosen)
+    if gravity:
+        globally = pycolmap.GlobalPipelineOptions()
+        globally.mapper.rotation_averaging.use_gravity = True
+        pycolmap.global_mapping(database, images, out, globally)
+        return
     options = pycolmap.IncrementalPipelineOptions()
-    if prior_sd_m:
-        _write_priors(database, frames, prior_sd_m)
-        options.use_prior_position = options.use_robust_loss_on_prior_position = True
+    options.use_prior_position = options.use_robust_loss_on_prior_position = prior_sd_m > 0
     pycolmap.incremental_mapping(database, images, out, options)
 
 
 def _write_priors(database: Path, frames: pd.DataFrame, sd_m: float) -> None:
-    centre = poses_of(frames, "vio_cam")[:, :3, 3]
-    is_known = (frames["session_id"] == frames["session_id"].iloc[0]).to_numpy() & np.isfinite(centre).all(axis=1)
+    """VIO's positions and gravity of the first session, as each session's positions have axes of their own."""
+    vio_T_cam = poses_of(frames, "vio_cam")
+    is_first = (frames["session_id"] == frames["session_id"].iloc[0]).to_numpy()
     with pycolmap.Database.open(database) as opened:
-        for row in np.flatnonzero(is_known).tolist():
-            prior = pycolmap.PosePrior(position=centre[row], position_covariance=sd_m**2 * np.eye(3))
+        for row in np.flatnonzero(is_first & np.isfinite(vio_T_cam[:, 0, 0])).tolist():
+            prior = pycolmap.PosePrior(position=vio_T_cam[row, :3, 3], position_covariance=sd_m**2 * np.eye(3))
             prior.corr_data_id = opened.read_image(image_id(row)).data_id
             prior.coordinate_system = pycolmap.PosePriorCoordinateSystem.CARTESIAN
+            prior.gravity = vio_T_cam[row, :3, :3].T @ _DOWN
             opened.write_pose_prior(prior)
 
 
-def _match(database: Path, images: int) -> None:
+def _match(database: Path, pairs: Pairs) -> None:
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu = False
-    if images <= MOST_EXHAUSTIVE:
+    if pairs == Pairs.EXHAUSTIVE:
         pycolmap.match_exhaustive(database, matching, device=pycolmap.Device.cpu)
-        return
-    pairing = pycolmap.SequentialPairingOptions()
-    pairing.overlap = _SEQUENTIAL_OVERLAP
-    pycolmap.match_sequential(database, matching, pairing_options=pairing, device=pycolmap.Device.cpu)
+    elif pairs == Pairs.SEQUENTIAL:
+        sequential = pycolmap.SequentialPairingOptions()
+        sequential.overlap = _SEQUENTIAL_OVERLAP
+        pycolmap.match_sequential(database, matching, pairing_options=sequential, device=pycolmap.Device.cpu)
+    else:
+        spatial = pycolmap.SpatialPairingOptions()
+        spatial.ignore_z, spatial.max_distance = False, SPATIAL_M
+        pycolmap.match_spatial(database, matching, pairing_options=spatial, device=pycolmap.Device.cpu)
 
 
 if __name__ == "__main__":

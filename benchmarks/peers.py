@@ -1,0 +1,163 @@
+"""Stock COLMAP as well as it can be told, beside ours, on real captures of one session: `python -m benchmarks.peers`.
+
+Stock gets the same images and as many features, an OPENCV camera that starts at the logged intrinsics, and, way by way,
+the pairs, position priors and gravity that a user who has VIO could give it. Each way is kept as
+`<work>/<capture>/<way>.json` when it is done, and the same command goes on with the rest. Writes docs/results/peers.md
+and peers.csv.
+"""
+
+import json
+import shutil
+from collections.abc import Iterable
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import pandas as pd
+import typer
+
+from benchmarks.cost import run_timed
+from benchmarks.real import standard_cases
+from benchmarks.real_building import WALLS, wall_figures
+from benchmarks.real_figures import ALL, OURS, STOCK, Figure, Run, agreement_alone, run_stages
+from benchmarks.results import circumstances_of, markdown_table, write_page
+from benchmarks.stock import SPATIAL_M, stock_command
+from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.checkout import git_revision
+from groundwalk.store.cli import new_app
+from groundwalk.store.settings import resolve_settings
+
+app = new_app(__doc__ or "")
+
+_NEAR = f"pairs within {SPATIAL_M:g} m by VIO"
+# What stock COLMAP is told, in words and as options of `benchmarks.stock`.
+_WAYS: dict[str, tuple[str, ...]] = {
+    "every pair": ("--pairs", "exhaustive"),
+    "every pair, position priors ± 0.5 m": ("--pairs", "exhaustive", "--prior-sd-m", "0.5"),
+    "sequential pairs": ("--pairs", "sequential"),
+    _NEAR: ("--pairs", "spatial"),
+    f"{_NEAR}, position priors ± 0.5 m": ("--pairs", "spatial", "--prior-sd-m", "0.5"),
+    f"{_NEAR}, position priors ± 0.1 m": ("--pairs", "spatial", "--prior-sd-m", "0.1"),
+    f"{_NEAR}, global mapper, gravity": ("--pairs", "spatial", "--gravity"),
+}
+
+
+def stock_figures(run: Run, folder: Path, way: str, is_of_right_angles: bool) -> list[Figure]:
+    """Map the images of an imported capture with stock COLMAP in one way: coverage, agreement with VIO, cost."""
+    settings = resolve_settings(SfmSettings, "sfm", run.root, run.profile, run.scene, [])
+    told = Run(run.scene, run.root, folder / "stock", run.profile)
+    command = stock_command(run.scene, run.profile, run.root, told.stock_folder, settings, *_WAYS[way])
+    folder.mkdir(parents=True, exist_ok=True)
+    status, cost = run_timed(command, told.stock_folder, folder / "log.txt")
+    images = len(run.table("import", "frames"))
+    figures = [Figure("processor", cost.cpu_s, "s"), Figure("wall", cost.wall_s / 60, "min")]
+    figures.append(Figure("models", len(list(told.stock_folder.glob("[0-9]*"))) if not status else 0))
+    if (model := told.stock_model(images)) is None:
+        return [*figures, Figure("images registered", 0)]
+    figures.append(Figure("images registered", int(model.registered.sum())))
+    figures.append(Figure("reprojection error, mean", model.mean_error_px, "px"))
+    figures += [f for f in agreement_alone(told) if f.way == STOCK and not f.subject]
+    if is_of_right_angles:
+        figures += [f for f in wall_figures(told, folder / "walls.png") if f.way == STOCK]
+    return figures
+
+
+def our_figures(run: Run, folder: Path, is_of_right_angles: bool) -> list[Figure]:
+    """The same of our ground truth."""
+    costs = [run.costs[stage] for stage in ("import", "sfm", "align")]
+    values = run.manifest("sfm")["figures"]
+    figures = [
+        Figure("processor", sum(cost.cpu_s for cost in costs), "s"),
+        Figure("wall", sum(cost.wall_s for cost in costs) / 60, "min"),
+        Figure("models", values["models"]),
+        Figure("images registered", values["registered"]),
+        Figure("reprojection error, mean", values["mean_reprojection_px"], "px"),
+    ]
+    figures += [f for f in agreement_alone(run) if f.way == OURS and not f.subject]
+    if is_of_right_angles:
+        figures += [f for f in wall_figures(run, folder / "walls.png") if f.way == OURS]
+    return figures
+
+
+def _table(rows: Iterable[dict[str, Any]]) -> Iterable[list[str]]:
+    yield [
+        *("capture", "way", "images", "models", "reprojection px", "frames held against VIO", "position RMS m"),
+        *("rotation median deg", "step RMS mm", "walls deg", "processor s (wall min)"),
+    ]
+    for row in rows:
+        value = {figure["name"]: figure["value"] for figure in row["figures"]}
+
+        def cell(name: str, form: str, factor: float = 1.0, value: dict[str, float] = value) -> str:
+            return format(factor * value[name], form) if name in value else ""
+
+        yield [
+            *(row["capture"], row["way"], f"{cell('images registered', 'g')} of {row['images']}", cell("models", "g")),
+            cell("reprojection error, mean", ".2f"),
+            cell(ALL, "g"),
+            cell(f"{ALL}, position RMS", ".4f", 1e-3),
+            cell(f"{ALL}, rotation median", ".3f"),
+            cell(f"{ALL}, step RMS", ".1f"),
+            cell(WALLS, ".2f"),
+            f"{cell('processor', '.0f')} ({cell('wall', '.1f')})",
+        ]
+
+
+@app.command()
+def main(
+    captures: Annotated[Path, typer.Option(help="Folder with chair, corridor and charuco.")] = Path(
+        "../shared/captures"
+    ),
+    only: Annotated[list[str] | None, typer.Option(help="Run this case alone; may be repeated.")] = None,
+    work: Annotated[Path, typer.Option(help="Folder for runs and results.")] = Path("build/peers"),
+    out: Annotated[Path, typer.Option(help="Folder for the tables.")] = Path("docs/results"),
+) -> None:
+    """Run the ways that have no result yet, and write the page."""
+    rows = []
+    for case in standard_cases(captures):
+        folder = work / case.name
+        # Positions of several sessions have axes of their own: no priors could be given.
+        if case.name not in (only or ("chair", "corridor", "charuco_test-lowres")):
+            continue
+        run: Run | None = None
+        for way in ("ours", *_WAYS):
+            path = folder / f"{way}.json"
+            if not path.is_file():
+                if run is None:
+                    shutil.rmtree(folder / "run", ignore_errors=True)
+                    run = run_stages(case.name, case.folder, folder / "run", case.settings)
+                print(f"{case.name}: {way}", flush=True)
+                of_way = folder / "ways" / way.replace(" ", "_")
+                of_way.mkdir(parents=True, exist_ok=True)
+                figures = (
+                    our_figures(run, of_way, case.is_tiled_corridor)
+                    if way == "ours"
+                    else stock_figures(run, of_way, way, case.is_tiled_corridor)
+                )
+                row = {
+                    "capture": case.name,
+                    "way": way,
+                    "images": len(run.table("import", "frames")),
+                    "revision": git_revision(),
+                    "date": f"{datetime.now(UTC):%Y-%m-%d}",
+                    "figures": [asdict(figure) for figure in figures],
+                }
+                path.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
+            rows.append(json.loads(path.read_text(encoding="utf-8")))
+    sections = [
+        "# Stock COLMAP, told what VIO knows",
+        "Written by `python -m benchmarks.peers`, not to be edited; `peers.csv` has every figure. Measured, on captures"
+        " of one session each. Stock COLMAP's largest model: its own SIFT, the same images and as many features, an"
+        " OPENCV camera that starts at the logged intrinsics. Held against VIO after a similarity fit, which with"
+        " position priors is no independent judge; directions of walls (5th to 95th percentile) are one, but for a"
+        " model that is folded. Step: the motion from frame to frame.",
+        circumstances_of((row["revision"] for row in rows), (row["date"] for row in rows)),
+        markdown_table(_table(rows)),
+    ]
+    figures = pd.DataFrame([{"capture": r["capture"], "way told": r["way"], **f} for r in rows for f in r["figures"]])
+    figures = figures.drop(columns=["way", "subject"])
+    write_page(out, "peers", sections, [list(figures), *figures.itertuples(index=False)])
+
+
+if __name__ == "__main__":
+    app()
