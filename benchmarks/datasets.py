@@ -1,9 +1,12 @@
 """Published errors on public data sets, ours beside: `python -m benchmarks.datasets`.
 
 Reads shipped/published/datasets.csv and what finished runs of the data sets' scenes predicted for their test frames; a
-cell of a scene that hasn't been run is empty. Writes docs/results/datasets.md.
+cell of a scene that hasn't been run is empty. Writes docs/results/datasets.md. `--captures` names a folder with the
+scenes as they are unpacked, and runs those first that are there: the same command goes on where it was stopped.
 """
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +15,7 @@ import typer
 
 from benchmarks.results import circumstances, markdown_table, write_page
 from groundwalk.scoring.errors import position_error, rotation_error_deg
-from groundwalk.store import DataRoot
+from groundwalk.store import DataRoot, UserError
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import MANIFEST, load_verified
 from groundwalk.store.schemas import schema
@@ -34,6 +37,9 @@ published protocol."""
 def main(
     data: Annotated[Path, typer.Option(help="data root with runs of the data sets' scenes")] = Path("data"),
     profile: Annotated[str, typer.Option(help="profile of the runs")] = "paper",
+    captures: Annotated[
+        Path | None, typer.Option(help="folder with chess, KingsCollege, ... in it or a level down: run those first")
+    ] = None,
     sequence: Annotated[
         str, typer.Option(help="scene of a single sequence, split in time; run to localise or train")
     ] = "",
@@ -42,6 +48,7 @@ def main(
 ) -> None:
     """Put published errors and ours into one table a data set."""
     published = pd.read_csv(SHIPPED_DATA / "published" / "datasets.csv")
+    failed = [] if captures is None else run_scenes(captures, published, DataRoot(data), profile)
     sections = [_HEAD, f"{circumstances()} Profile {profile}."]
     for dataset, rows in published.groupby("dataset", sort=False):
         scenes = [scene for scene in rows["scene"].unique() if scene != "average"]
@@ -50,6 +57,42 @@ def main(
     if sequence:
         sections += _of_sequence(DataRoot(data), sequence_profile, sequence)
     write_page(out, "datasets", sections)
+    if failed:
+        print(f"failed, as said above: {', '.join(failed)}")
+        raise typer.Exit(1)
+
+
+def run_scenes(captures: Path, published: pd.DataFrame, data: DataRoot, profile: str) -> list[str]:
+    """Run the scenes whose folders are there up to train, one after the other; those that failed. UserError where there
+    is none."""
+    if not captures.is_dir():
+        raise UserError("there is no such folder", where=captures)
+    folders = {path.name.lower(): path for path in [*captures.glob("*/*/"), *captures.glob("*/")]}
+    of_scenes = published.loc[published["scene"] != "average", ["dataset", "scene"]].drop_duplicates()
+    there = [
+        (f"{PREFIXES[d]}-{s}", folders[s.lower()]) for d, s in of_scenes.itertuples(index=False) if s.lower() in folders
+    ]
+    if not there:
+        names = ", ".join(of_scenes["scene"])
+        raise UserError("no scene of a public data set is there", where=captures, expected=f"folders named {names}")
+    failed = []
+    for scene, folder in there:
+        print(f"{scene}: {folder}", flush=True)
+        options = [
+            "--scene",
+            scene,
+            "--captures",
+            folder,
+            "--profile",
+            profile,
+            "--data",
+            data.root,
+            "--until",
+            "train",
+        ]
+        if subprocess.run([sys.executable, "-P", "-m", "groundwalk", "run", *map(str, options)]).returncode:
+            failed.append(scene)
+    return failed
 
 
 def _of_sequence(data: DataRoot, profile: str, scene: str) -> list[str]:
