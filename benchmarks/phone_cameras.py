@@ -58,7 +58,6 @@ _ESTIMATES = {
     "k2": "k2_sd",
     "k3": "k3_sd",
     "readout_s": "readout_sd_s",
-    "time_offset_s": "time_offset_sd_s",
 }
 
 

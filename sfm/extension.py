@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from groundwalk.geometry.poses import Array, skew
-from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log, known_lens
-from groundwalk.sfm.cameras.motion import motion_by_vio
+from groundwalk.sfm.cameras.model_adjustment import CameraLog, known_lens
 from groundwalk.sfm.database import Workspace
 from groundwalk.sfm.mapping.attempts import MIN_CONSISTENT, MIN_REGISTERED, Attempt
 from groundwalk.sfm.mapping.built import BuiltModel, selected_models
 from groundwalk.sfm.model import Model
 from groundwalk.sfm.pairs.matched import are_verified, rows_of
 from groundwalk.sfm.pairs.odometry import Odometry
-from groundwalk.sfm.scene_input import calibrated_cameras, with_focal_lengths
+from groundwalk.sfm.scene_input import logged_cameras, with_focal_lengths
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import StageRun, UserError
+from groundwalk.store.choices import CameraOrigin
 from groundwalk.store.schemas import stage_tables
 from groundwalk.store.tables import read_table
 
@@ -60,7 +60,7 @@ class HeldArtefact:
         images = images.set_index("frame_id").loc[there[~is_new]].reset_index().set_index(np.flatnonzero(~is_new))
         selected = tables["models"][tables["models"]["selected"]]
         models = [
-            BuiltModel(one["mapping"], int(one["model_id"].rpartition("/")[2]), 0, 0, 0, 0.0, 0.0, (), one["folder"])
+            BuiltModel(one["mapping"], int(one["model_id"].rpartition("/")[2]), 0, 0, 0, 0.0, 0.0, folder=one["folder"])
             for one in selected.to_dict("records")
         ]
         return HeldArtefact(folder, tables, is_new, images, selected_models(models))
@@ -82,7 +82,7 @@ class HeldArtefact:
     ) -> tuple[pd.DataFrame, CameraLog]:
         """The frames table with the intrinsics that the artefact has, and all cameras.
 
-        A lens that the artefact knows is a prior for new frames; one that it doesn't is calibrated by pairs of images.
+        A lens that the artefact knows is a prior for new frames.
         """
         new, old = np.flatnonzero(self.is_new), np.flatnonzero(~self.is_new)
         if len(new):
@@ -91,45 +91,36 @@ class HeldArtefact:
             frames = frames.copy()
             for name in ("fx", "fy", "focal_sd"):
                 frames.loc[new, name] = of_new[name].to_numpy()
-        devices = dict(zip(sessions["session_id"], sessions["device"], strict=True))
-        vio_log, jumps = r.read("import", "vio"), r.read("import", "jumps")
-        log = camera_log(frames, devices, vio_log, jumps, r.settings)
-        if np.setdiff1d(log.calibration.lens[new], log.calibration.lens[old]).size:
-            log = calibrated_cameras(r, frames, sessions, vio, work)
-        lenses, lens = list(log.calibration.lenses), log.calibration.lens.copy()
+        log = logged_cameras(r, frames, sessions, vio, work)
+        lenses, lens = list(log.lenses.priors), log.lenses.lens.copy()
         adjusted = np.zeros((len(frames), _COEFFICIENTS + 1))
         for row, coefficients, readout_s in zip(old, self.images["distortion"], self.images["readout_s"], strict=True):
             adjusted[row, : len(coefficients)], adjusted[row, -1] = coefficients, readout_s
-        offsets = self.tables["lenses"].query("time_offset_used").drop_duplicates("lens_id")
-        columns = offsets[["time_offset_s", "time_offset_sd_s"]].to_numpy(float).tolist()
-        offset_of = dict(zip(offsets["lens_id"], columns, strict=True))
         for number in np.unique(lens[new]).tolist():
-            of_lens = old[log.calibration.lens[old] == number]
+            of_lens = old[log.lenses.lens[old] == number]
             if len(of_lens):
                 values, count = np.unique(adjusted[of_lens], axis=0, return_counts=True)
-                known = known_lens(lenses[number], values[count.argmax(), :-1], float(values[count.argmax(), -1]))
-                known = replace(known, coefficients=known.prior_coefficients, readout_s=known.prior_readout_s)
-                if known.lens_id in offset_of:
-                    offset_s, sd_s = offset_of[known.lens_id]
-                    known = replace(known, time_offset_s=offset_s, stamp_offset_s=offset_s, stamp_offset_sd_s=sd_s)
+                commonest = values[count.argmax()]
+                known = known_lens(lenses[number], commonest[:-1], float(commonest[-1]))
+                if self.images.loc[of_lens[0], "camera_origin"] == CameraOrigin.ESTIMATED:
+                    known = replace(known, origin=CameraOrigin.ESTIMATED, stated_readout_s=None)
                 lenses[number] = known
             added = ", ".join(sorted(set(frames["session_id"].iloc[new[lens[new] == number]])))
             lenses[number] = replace(lenses[number], lens_id=f"{lenses[number].lens_id}, added: {added}")
         for values in np.unique(adjusted[old], axis=0):
             members = old[(adjusted[old] == values).all(axis=1)]
-            known = known_lens(log.calibration.lenses[lens[members[0]]], values[:-1], float(values[-1]))
+            known = known_lens(log.lenses.priors[lens[members[0]]], values[:-1], float(values[-1]))
             lens[members] = len(lenses)
-            lenses.append(replace(known, coefficients=known.prior_coefficients, readout_s=known.prior_readout_s))
-        calibration = replace(log.calibration, lenses=lenses, lens=lens)
-        motion = motion_by_vio(frames, vio_log, jumps, calibration.time_offset_s[lens])
-        motion.angular[old] = self.images[[f"angular_{axis}" for axis in "xyz"]]
+            lenses.append(known)
+        log.motion.angular[old] = self.images[[f"angular_{axis}" for axis in "xyz"]]
         intrinsics = log.intrinsics.copy()
         intrinsics[old] = self.images[["fx", "fy", "cx", "cy"]]
         frames = frames.copy()
         frames[["fx", "fy", "cx", "cy"]] = intrinsics
         held_velocity = np.full((len(frames), 3), np.nan)
         held_velocity[old] = self.images[[f"velocity_{axis}" for axis in "xyz"]]
-        log = replace(log, intrinsics=intrinsics, calibration=calibration, motion=motion, held_velocity=held_velocity)
+        all_lenses = replace(log.lenses, priors=lenses, lens=lens)
+        log = replace(log, intrinsics=intrinsics, lenses=all_lenses, held_velocity=held_velocity)
         return frames, log
 
     def covariance_by_map(self, model: Model) -> Array:

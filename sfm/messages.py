@@ -26,7 +26,6 @@ _MAX_LENSES = 6
 _FRAMES_AT_ENDS = 2  # of a session
 _CLEAR_SIGMAS = 2.0
 # A time offset is worth a line where it is so large and so clear.
-_MIN_OFFSET_S, _OFFSET_SIGMAS = 0.002, 3.0
 
 
 def report_attempts(r: StageRun[SfmSettings], attempts: list[Attempt], best: Attempt, frames: int) -> None:
@@ -144,12 +143,6 @@ def report_cameras(
                 "(phones' take up to 35 ms): images of STABILISED VIDEO, which are shifted and turned one by one, look "
                 "like this. Capture with stabilisation off"
             )
-        offset_s, sd_s = lens["time_offset_s"], lens["time_offset_sd_s"]
-        if lens["time_offset_used"] and abs(offset_s) > max(_MIN_OFFSET_S, _OFFSET_SIGMAS * sd_s):
-            r.say(
-                f"lens of {lens['lens_id']}: images were taken {1000 * abs(offset_s):.1f} ± {1000 * sd_s:.1f} ms "
-                f"{'before' if offset_s > 0 else 'after'} their time stamps, by VIO's rotations"
-            )
         for line in _stated_lines(lens, is_held=r.settings.lens == "stated"):
             r.say(f"lens of {lens['lens_id']}: {line}")
     for session in intrinsics.to_dict("records"):
@@ -179,13 +172,13 @@ def _stated_lines(lens: dict[Hashable, Any], *, is_held: bool) -> Iterator[str]:
         do = f"; it's kept, {take} uses theirs" if is_held else f", which is used; {keep} keeps the stated one"
         yield (
             f"the STATED DISTORTION IS LIKELY WRONG (k1 {lens['stated_k1']:.4f}, k2 {lens['stated_k2']:.4f}): median "
-            f"error of held-out pairs {lens['held_out_prior_px']:.2f} px, {lens['held_out_px']:.2f} px with the "
-            f"estimated lens{do}"
+            f"error of held-out matches {lens['held_out_stated_px']:.2f} px, {lens['held_out_free_px']:.2f} px with "
+            f"the estimated lens{do}"
         )
     elif lens["stated_is_undecided"]:
         yield (
-            "the stated distortion is kept: pairs of images show another one, but held-out pairs (median error "
-            f"{lens['held_out_prior_px']:.3f} px) don't confirm it. Images from places farther apart would decide; "
+            "the stated distortion is kept: the model shows another one, but held-out matches (median error "
+            f"{lens['held_out_stated_px']:.3f} px) don't confirm it. Images from places farther apart would decide; "
             f"{keep} takes it as it is"
         )
     if lens["stated_readout_is_wrong"]:

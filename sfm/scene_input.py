@@ -2,16 +2,15 @@
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from groundwalk.sfm.cameras.calibration import Calibration, calibrate, with_lenses, write_calibrated_database
 from groundwalk.sfm.cameras.focal_lengths import ESTIMATED_SD, estimate_focal_lengths, sample_unstated
+from groundwalk.sfm.cameras.lenses import started, with_lenses, write_lens_database
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log
-from groundwalk.sfm.cameras.motion import motion_by_vio
+from groundwalk.sfm.cameras.start_lens import start_lenses
 from groundwalk.sfm.database import (
     Workspace,
     copy_features,
@@ -25,7 +24,7 @@ from groundwalk.sfm.mapping.attempts import more_features
 from groundwalk.sfm.pairs.candidates import unique_pairs
 from groundwalk.sfm.pairs.features import extract_features, features_name
 from groundwalk.sfm.pairs.odometry import Odometry, odometry
-from groundwalk.sfm.pairs.selection import pairs_of_untimed, pairs_within_sessions
+from groundwalk.sfm.pairs.selection import pairs_within_sessions
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.child import Task
@@ -133,33 +132,27 @@ def extracted_features(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Wor
     return database
 
 
-def calibrated_cameras(
+def logged_cameras(
     r: StageRun[SfmSettings], frames: pd.DataFrame, sessions: pd.DataFrame, vio: Odometry, work: Workspace
 ) -> CameraLog:
-    """The cameras of all frames with the lenses, readout times and time offsets that pairs of images tell; as stated
-    where cameras aren't refined."""
-    log, jumps = r.read("import", "vio"), r.read("import", "jumps")
+    """The cameras of all frames before a model of them is adjusted, with the lenses that mapping starts from."""
     devices = dict(zip(sessions["session_id"], sessions["device"], strict=True))
-    cameras = camera_log(frames, devices, log, jumps, r.settings)
+    cameras = camera_log(frames, devices, r.read("import", "vio"), r.read("import", "jumps"), r.settings)
     if r.settings.refine_cameras == "never":
         return cameras
-    path = work.scratch / "calibration.json"
-    frames = with_lenses(frames, cameras.calibration)
+    path = work.scratch / "start_lenses.json"
     if not path.is_file():
-        database = extracted_features(r, frames, work, r.settings)
-        with r.step("calibration"):
-            proposals = pairs_within_sessions(r.settings, frames, vio)
-            untimed = pairs_of_untimed(r.settings, frames, vio, database, r.seed)
-            pairs = unique_pairs(np.concatenate([untimed, *(pairs for _, pairs in proposals)]))
-            arguments = (database, frames, cameras.motion, pairs, cameras.calibration, r.seed)
-            work.in_child("calibrating lenses", Task(calibrate, arguments)).save(path)
-    calibration = Calibration.load(path)
-    frames = with_lenses(frames, calibration)
-    motion = motion_by_vio(frames, log, jumps, calibration.time_offset_s[calibration.lens])
-    return replace(cameras, calibration=calibration, motion=motion)
+        database = extracted_features(r, with_lenses(frames, cameras.lenses), work, r.settings)
+        with r.step("lenses"):
+            pairs = np.concatenate([pairs for _, pairs in pairs_within_sessions(r.settings, frames, vio)])
+            arguments = (database, cameras.lenses, unique_pairs(pairs), r.seed)
+            write_json(path, work.in_child("trying lenses", Task(start_lenses, arguments)))
+    starts = [np.array(start) for start in json.loads(path.read_text())]
+    priors = zip(cameras.lenses.priors, starts, strict=True)
+    return cameras.with_priors({number: started(*one) for number, one in enumerate(priors)})
 
 
-def calibrated_features(
+def features_of_cameras(
     r: StageRun[SfmSettings], frames: pd.DataFrame, cameras: CameraLog, work: Workspace, settings: SfmSettings
 ) -> Path:
     """The database with lenses, and features without the effect of rolling shutter."""
@@ -167,7 +160,7 @@ def calibrated_features(
     database = work.scratch / f"database{features_name(settings)}.db"
     with r.step("features"):
         if not database.is_file():
-            write_calibrated_database(features, database, frames, work.names, cameras.calibration, cameras.motion)
+            write_lens_database(features, database, frames, work.names, cameras.lenses, cameras.motion)
             if kept := kept_features(r, settings):
                 copy_matches(kept, database)
     return database

@@ -7,8 +7,8 @@ import numpy as np
 
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm import messages, scene_input, tables
-from groundwalk.sfm.cameras.adjustment import Adjusted, Ints
-from groundwalk.sfm.cameras.calibration import with_lenses
+from groundwalk.sfm.cameras.adjustment import Adjusted, Ints, is_large
+from groundwalk.sfm.cameras.lenses import with_lenses
 from groundwalk.sfm.cameras.model_adjustment import cameras_of_frames, load_adjusted
 from groundwalk.sfm.extension import HeldArtefact, refuse_misfit
 from groundwalk.sfm.mapping.attempts import Attempt, run_attempts
@@ -32,15 +32,13 @@ from groundwalk.store.choices import AttemptName, PoseSource
 from groundwalk.store.tables import with_cameras
 
 _IN_CHILDREN = (
-    "groundwalk.sfm.cameras.calibration",
     "groundwalk.sfm.cameras.focal_lengths",
+    "groundwalk.sfm.cameras.start_lens",
     "groundwalk.sfm.mapping.build",
     "groundwalk.sfm.mapping.extending",
     "groundwalk.sfm.pairs.features",
     "groundwalk.sfm.pairs.neighbours",
 )
-# Covariances take 36 N² numbers of memory: 1.8 GB for so many frames. Those of larger models are of class C.
-_MAX_COVARIANCE_FRAMES = 2500
 
 
 def run(r: StageRun[SfmSettings]) -> None:
@@ -54,15 +52,15 @@ def run(r: StageRun[SfmSettings]) -> None:
     vio = scene_input.odometry_of(frames, r.read("import", "jumps"), sessions)
     if held is None:
         frames = scene_input.with_focal_lengths(r, frames, work)
-        cameras = scene_input.calibrated_cameras(r, frames, sessions, vio, work)
+        cameras = scene_input.logged_cameras(r, frames, sessions, vio, work)
     else:
         frames, cameras = held.cameras(r, frames, sessions, vio, work)
-    frames = with_lenses(frames, cameras.calibration)
+    frames = with_lenses(frames, cameras.lenses)
 
     def attempt(number: int, name: AttemptName, settings: SfmSettings) -> Attempt:
         """Make models with these settings and check them against VIO; what an earlier, killed run did is reused."""
         features = scene_input.extracted_features(r, frames, work, settings)
-        database = scene_input.calibrated_features(r, frames, cameras, work, settings)
+        database = scene_input.features_of_cameras(r, frames, cameras, work, settings)
         with r.step("pairs"):
             proposals = pairs_within_sessions(settings, frames, vio)
             proposals += pairs_by_images(settings, vio, proposals, database, r.seed)
@@ -70,7 +68,7 @@ def run(r: StageRun[SfmSettings]) -> None:
             # Later steps replace results in the database, by which pairs were chosen for them.
             steps = work.scratch / f"matched_{number}"
             steps.mkdir(exist_ok=True)
-            source = FloorSource(features, work.images, work.names, frames, cameras.calibration, cameras.motion)
+            source = FloorSource(features, work.images, work.names, frames, cameras.lenses, cameras.motion)
             compared = checkpoint(
                 steps / "compared.parquet",
                 lambda: verification.compared_with_vio(
@@ -141,8 +139,10 @@ def run(r: StageRun[SfmSettings]) -> None:
         held_out = held_out_check(read_matches(best.mapping_input), finished, model.sfm_T_cam, model.model)
 
     frame_ids = list(frames["frame_id"])
-    images = tables.images_table(frame_ids, best, cameras, finished, held_out, covariance)
-    lenses, intrinsics = tables.camera_tables(cameras, adjusted_models, adjusted, estimates)
+    rows_of_models = [(one, rows) for one, (_, rows) in zip(adjusted_models, adjusted, strict=True)]
+    origins = tables.camera_origins(cameras, rows_of_models, r.settings)
+    images = tables.images_table(frame_ids, best, origins, finished, held_out, covariance)
+    lenses, intrinsics = tables.camera_tables(cameras, origins, adjusted_models, adjusted, estimates)
     written = {
         "images": images,
         "models": tables.models_table(best.built, held_out),
@@ -178,8 +178,8 @@ def _covariances(
     covariance = np.full((frames, 6, 6), np.nan)
     for one, (bundle, rows) in zip(models, adjusted, strict=True):
         estimate = None
-        if len(rows) > _MAX_COVARIANCE_FRAMES:
-            r.say(f"model {one.model_id}: no covariances of more than {_MAX_COVARIANCE_FRAMES} frames")
+        if is_large(len(rows)):  # its frames are of class C
+            r.say(f"model {one.model_id}: no covariances of {len(rows)} frames: they are too many for the memory")
         elif (estimate := covariances(bundle)) is None:
             r.say(f"model {one.model_id}: no covariances: too few points")
         else:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.adjustment import LENS_UNKNOWNS, Adjusted, Cameras, Ints
-from groundwalk.sfm.cameras.calibration import distortion_lists
+from groundwalk.sfm.cameras.lenses import distortion_lists
 from groundwalk.sfm.cameras.model_adjustment import EXACT_SD, CameraLog
 from groundwalk.sfm.database import keypoint_counts
 from groundwalk.sfm.mapping.attempts import Attempt
@@ -18,29 +18,20 @@ from groundwalk.sfm.mapping.held_out import held_out_medians
 from groundwalk.sfm.model import Model
 from groundwalk.sfm.pairs.matched import are_verified, rows_of, status_of
 from groundwalk.sfm.quality.covariance import Covariances
-from groundwalk.store.choices import NotRegistered
+from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.choices import CameraOrigin, NotRegistered
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import pose_frame
 
 # Images determine the product of readout and angular velocity: the common error of VIO's, which filters smooth.
 _RATE_SCALE_SD = 0.02
-_NOT_IN_TABLE = ["number", "misplaced"]
-_OF_LENS = (
-    "lens_id",
-    "origin",
-    "stated_is_wrong",
-    "stated_is_undecided",
-    "stated_readout_s",
-    "stated_readout_is_wrong",
-    "held_out_prior_px",
-    "held_out_px",
-)
+_NOT_IN_TABLE = ["number", "misplaced", "stated"]
 
 
 def images_table(
     frame_ids: Sequence[str],
     best: Attempt,
-    log: CameraLog,
+    origins: Sequence[CameraOrigin],
     cameras: Cameras,
     check: pd.DataFrame,
     covariance_N66: Array,
@@ -63,7 +54,7 @@ def images_table(
     table["readout_s"] = cameras.readout_s[cameras.lens]
     for name, of_frame in (("angular", cameras.angular), ("velocity", cameras.velocity)):
         table[[f"{name}_{axis}" for axis in "xyz"]] = of_frame
-    table["camera_origin"] = [log.calibration.lenses[k].origin for k in log.calibration.lens]
+    table["camera_origin"] = origins
     table["keypoints"] = keypoint_counts(best.mapping_input, len(table))
     table = pd.concat([table, model.of_frames()], axis=1)
     both = pd.concat([check.assign(frame=check["a"]), check.assign(frame=check["b"])])
@@ -84,8 +75,23 @@ def models_table(built: Sequence[BuiltModel], check: pd.DataFrame) -> pd.DataFra
     return table.assign(held_out_matches=table["held_out_matches"].fillna(0).astype(np.int64))
 
 
+def camera_origins(
+    log: CameraLog, models: Sequence[tuple[BuiltModel, Ints]], settings: SfmSettings
+) -> list[CameraOrigin]:
+    """Where each frame's lens is from; `models` with the rows of their frames."""
+    origins = [log.lenses.priors[k].origin for k in log.lenses.lens]
+    for one, rows in models:
+        wrong = {check["lens"] for check in one.stated if check["distortion_is_wrong"] and settings.lens != "stated"}
+        for row in rows.tolist():
+            is_free = origins[row] != CameraOrigin.STATED or int(log.lenses.lens[row]) in wrong
+            if is_free and settings.refine_cameras != "never":
+                origins[row] = CameraOrigin.ESTIMATED
+    return origins
+
+
 def camera_tables(
     log: CameraLog,
+    origins: Sequence[CameraOrigin],
     selected: Sequence[BuiltModel],
     adjusted: Sequence[tuple[Adjusted, Ints]],
     estimates: Sequence[Covariances | None],
@@ -101,19 +107,21 @@ def camera_tables(
         lens_sd, focal_sd = sd[: LENS_UNKNOWNS * lenses].reshape(lenses, LENS_UNKNOWNS), sd[-sessions:]
         # Focal lengths that settings hold aren't confirmed by the images.
         focal_sd[priors.log_focal_sd <= EXACT_SD] = np.nan
-        for number, index in enumerate(np.unique(log.calibration.lens[rows])):
-            lens, coefficients = log.calibration.lenses[index], cameras.coefficients[number, [0, 1, 4]]
-            readout_s = cameras.readout_s[number]
-            row = {name: getattr(lens, name) for name in _OF_LENS}
+        checks = {check["lens"]: check for check in one.stated}
+        for number, index in enumerate(np.unique(log.lenses.lens[rows])):
+            lens, coefficients = log.lenses.priors[index], cameras.coefficients[number, [0, 1, 4]]
+            readout_s, check = cameras.readout_s[number], checks.get(index, {})
+            row = {"lens_id": lens.lens_id, "origin": origins[rows[cameras.lens == number][0]]}
             row |= dict(zip(("k1", "k2", "k3"), coefficients, strict=True))
             row |= dict(zip(("k1_sd", "k2_sd", "k3_sd"), lens_sd[number], strict=False))
             row |= {"readout_s": readout_s, "readout_sd_s": np.hypot(lens_sd[number, 3], _RATE_SCALE_SD * readout_s)}
-            row |= {"time_offset_s": lens.stamp_offset_s, "time_offset_sd_s": lens.stamp_offset_sd_s}
+            row |= {"stated_k1": lens.stated[0], "stated_k2": lens.stated[1], "stated_readout_s": lens.stated_readout_s}
             row |= {
-                "time_offset_used": lens.time_offset_s != 0,
-                "stated_k1": lens.stated[0],
-                "stated_k2": lens.stated[1],
+                "stated_is_wrong": check.get("distortion_is_wrong", False),
+                "stated_is_undecided": check.get("distortion_is_undecided", False),
+                "stated_readout_is_wrong": check.get("readout_is_wrong", False),
             }
+            row |= {name: check.get(name) for name in ("held_out_stated_px", "held_out_free_px")}
             lens_rows.append(row | {"model_id": one.model_id, "frames": int(np.sum(cameras.lens == number))})
         for number, session in enumerate(np.unique(log.session[rows])):
             members = cameras.session == number

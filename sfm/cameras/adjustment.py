@@ -24,7 +24,7 @@ from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN, cauchy_weights
 from groundwalk.geometry.rows import summed
 from groundwalk.geometry.shutter import readout_fraction
-from groundwalk.sfm.cameras.normal_equations import Solver, System, block_rows, inverse_of, similarities
+from groundwalk.sfm.cameras.normal_equations import MAX_FACTORED, Solver, System, block_rows, inverse_of, similarities
 from groundwalk.store.progress import track
 
 Ints = NDArray[np.int64]
@@ -393,6 +393,11 @@ def point_noise(bundle: Bundle, residual_M2: Array) -> Array:
         total = _NOISE_FREEDOM * usual + np.bincount(bundle.point, bounded, len(count))
         variance = total / (_NOISE_FREEDOM + np.maximum(2 * count - 3, 0))
     return np.asarray(np.sqrt(variance / usual), float)
+
+
+def is_large(frames: int) -> bool:
+    """Whether a model of so many frames is too large for a matrix over all of its unknowns."""
+    return _LOCAL * frames > MAX_FACTORED
 
 
 def marginal_readout(adjusted: Adjusted) -> Adjusted:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pycolmap
 
-from groundwalk.sfm.cameras.calibration import PHONE_K1_K2
+from groundwalk.sfm.cameras.lenses import PHONE_K1_K2
 from groundwalk.sfm.database import Ints, create_database
 from groundwalk.sfm.mapping.mappers import pipeline_options
 from groundwalk.sfm.pairs.features import extract_features

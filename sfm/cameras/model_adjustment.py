@@ -1,5 +1,6 @@
 """Adjusting a COLMAP model with the cameras of phones (module `adjustment`), and the file of the result."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -19,16 +20,19 @@ from groundwalk.sfm.cameras.adjustment import (
     adjust,
     folded,
     frame_variances,
+    is_large,
     loss_variance,
     marginal_readout,
     project,
 )
-from groundwalk.sfm.cameras.calibration import (
+from groundwalk.sfm.cameras.lenses import (
+    EXACT_SD,
+    FAR_SD,
+    K3_SD,
     KNOWN_K3_SD,
-    SAME_LENS_SD,
     STATED_SD,
-    CalibratedLens,
-    Calibration,
+    LensPrior,
+    SceneLenses,
     lines_of,
     prior_lenses,
 )
@@ -49,11 +53,12 @@ _VARIANCE_STEPS, _MAX_SIGMAS = 100, 3.0
 # By how much of the image's longer side a principal point is off: one that a phone logs (0.02 to 0.25 % in chair and
 # charuco), and where there is no VIO and it mostly is the image's centre, from which those of phones are 0.4 and 1.4 %.
 _CENTRE_SD, _GUESSED_CENTRE_SD = 0.002, 0.015
-EXACT_SD = 1e-7
-# Of a stated lens, which is held where pairs of images don't deny it: as captures state them, and where pairs do deny
-# it, if not beyond chance.
+# Of k1, k2 and readout of a lens as another model of its frames has it.
+_SAME_LENS_SD = np.array([*STATED_SD, 0.002])
+# Of a stated lens, which is held where images don't deny it: as captures state them, and where images do deny it, if
+# not beyond chance.
 _STATED_COVARIANCE = np.diag([*STATED_SD**2, KNOWN_K3_SD**2, 0.0])
-_UNDECIDED_COVARIANCE = np.diag([0.1**2, 0.2**2, 0.4**2, 0.0])
+_UNDECIDED_COVARIANCE = np.diag([*FAR_SD**2, K3_SD**2, 0.0])
 _OUTLIER_SIGMAS = 4.0
 # A point that two frames see tells one number of their poses, which have six each.
 _MIN_OBSERVATIONS, _MIN_FRAMES = 8, 2
@@ -74,9 +79,14 @@ class CameraLog:
     t_s: Array
     vio_T_cam: Array
     focal_sd: Array
-    calibration: Calibration
+    lenses: SceneLenses
     motion: Motion
     held_velocity: Array | None = None
+
+    def with_priors(self, priors: Mapping[int, LensPrior]) -> "CameraLog":
+        """The same with other priors of some lenses, by their numbers."""
+        changed = [priors.get(number, prior) for number, prior in enumerate(self.lenses.priors)]
+        return replace(self, lenses=replace(self.lenses, priors=changed))
 
 
 def camera_log(
@@ -143,10 +153,13 @@ def adjust_model(
     _, point_ids, bundle, features = _bundle_of(model, keypoints, held, rows)
     learned = priors
     if settings.refine_cameras != "never":
-        priors, learned = with_shrunk_sds(adjusted), with_likeliest_sds(adjusted)
-        lenses = [log.calibration.lenses[k] for k in np.unique(log.calibration.lens[rows])]
+        priors = with_shrunk_sds(adjusted)
+        learned = priors if is_large(len(rows)) else with_likeliest_sds(adjusted)
+        lenses = [log.lenses.priors[k] for k in np.unique(log.lenses.lens[rows])]
         learned = replace(learned, lens_covariance=learned.lens_covariance + np.array([*map(_doubt, lenses)]))
-    adjusted = marginal_readout(adjust(bundle, adjusted.cameras, priors))
+    adjusted = adjust(bundle, adjusted.cameras, priors)
+    if not is_large(len(rows)):
+        adjusted = marginal_readout(adjusted)
     _write_back(model, rows, point_ids, adjusted, features)
     observations.filter_observations_with_negative_depth()
     model.update_point_3d_errors()
@@ -155,11 +168,11 @@ def adjust_model(
     return replace(adjusted, bundle=left, priors=learned, noise=noise), rows
 
 
-def _doubt(lens: CalibratedLens) -> Array:
+def _doubt(lens: LensPrior) -> Array:
     """(4, 4) how far a stated lens that is held may be off; 0 of others."""
-    if lens.stated_is_undecided:
+    if lens.is_undecided:
         return _UNDECIDED_COVARIANCE
-    return _STATED_COVARIANCE * (lens.origin == CameraOrigin.STATED and lens.held_out_px is not None)
+    return _STATED_COVARIANCE * (lens.origin == CameraOrigin.STATED)
 
 
 def _deregister_undetermined(model: pycolmap.Reconstruction) -> bool:
@@ -176,36 +189,34 @@ def _deregister_undetermined(model: pycolmap.Reconstruction) -> bool:
 
 def with_lenses_of(log: CameraLog, adjusted: Adjusted, rows: Ints) -> CameraLog:
     """The log with the lenses of an adjusted model, whose frames are `rows` (R,), as a prior for further models."""
-    lenses, cameras = list(log.calibration.lenses), adjusted.cameras
-    for number, index in enumerate(np.unique(log.calibration.lens[rows]).tolist()):
-        lenses[index] = known_lens(lenses[index], cameras.coefficients[number], float(cameras.readout_s[number]))
-    return replace(log, calibration=replace(log.calibration, lenses=lenses))
-
-
-def known_lens(lens: CalibratedLens, coefficients: Array, readout_s: float) -> CalibratedLens:
-    """A lens with the coefficients (8,) and readout that a model of other frames of it has, as a prior."""
-    sd = np.minimum(np.sqrt(np.diag(lens.prior_covariance)), SAME_LENS_SD)
-    return replace(
-        lens,
-        prior_coefficients=coefficients.tolist(),
-        prior_readout_s=readout_s,
-        prior_covariance=np.diag(sd**2).tolist(),
-        prior_k3_sd=min(lens.prior_k3_sd, KNOWN_K3_SD),
+    of_cameras = zip(adjusted.cameras.coefficients, adjusted.cameras.readout_s.tolist(), strict=True)
+    return log.with_priors(
+        {
+            index: known_lens(log.lenses.priors[index], *of_lens)
+            for index, of_lens in zip(np.unique(log.lenses.lens[rows]).tolist(), of_cameras, strict=True)
+        }
     )
 
 
+def known_lens(lens: LensPrior, coefficients: Array, readout_s: float) -> LensPrior:
+    """A lens with the coefficients (8,) and readout that a model of other frames of it has, as a prior."""
+    sd = np.minimum(np.sqrt(np.diag(lens.covariance)), _SAME_LENS_SD)
+    k3_sd = min(lens.k3_sd, KNOWN_K3_SD)
+    return replace(lens, coefficients=coefficients, readout_s=readout_s, covariance=np.diag(sd**2), k3_sd=k3_sd)
+
+
 def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cameras:
-    """The cameras of all N frames, a lens and a session for each, as adjusted with their models; as calibrated where a
+    """The cameras of all N frames, a lens and a session for each, as adjusted with their models; as before where a
     frame is in none."""
-    count, lens = len(log.t_s), log.calibration.lens
+    count, lens = len(log.t_s), log.lenses.lens
     every = Cameras(
         log.intrinsics,
         log.readout_line,
         np.arange(count),
         np.arange(count),
         log.t_s,
-        log.calibration.coefficients[lens],
-        log.calibration.readout_s[lens],
+        log.lenses.coefficients[lens],
+        log.lenses.readout_s[lens],
         np.zeros(count),
         np.zeros(count),
         log.motion.angular.copy(),
@@ -273,7 +284,7 @@ def _bundle_of(
 
 def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSettings) -> tuple[Cameras, CameraPriors]:
     """The cameras to start from and their priors; lenses and sessions are those that the rows have."""
-    lenses, lens = np.unique(log.calibration.lens[rows], return_inverse=True)
+    lenses, lens = np.unique(log.lenses.lens[rows], return_inverse=True)
     sessions, session = np.unique(log.session[rows], return_inverse=True)
     units_per_m = _units_per_m(bundle.sfm_T_cam, log.vio_T_cam[rows], session)
     cameras = Cameras(
@@ -282,25 +293,23 @@ def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSetting
         lens,
         session,
         log.t_s[rows],
-        log.calibration.coefficients[lenses],
-        log.calibration.readout_s[lenses],
+        log.lenses.coefficients[lenses],
+        log.lenses.readout_s[lenses],
         np.zeros(len(sessions)),
         np.zeros(len(rows)),
         log.motion.angular[rows],
         log.motion.velocity[rows] * units_per_m,
     )
-    prior = [log.calibration.lenses[k] for k in lenses]
+    prior = [log.lenses.priors[k] for k in lenses]
     corner = cameras.intrinsics[:, 2:] / cameras.intrinsics[:, :2]
     radius = float(np.median(np.linalg.norm(corner, axis=1)))
-    coefficients = np.array([one.prior_coefficients for one in prior], float)
-    mean = replace(cameras, coefficients=coefficients, readout_s=np.array([one.prior_readout_s for one in prior]))
     has_vio = np.bincount(lens, np.isfinite(log.vio_T_cam[rows, 0, 3])) > 0
     longer_px = np.array([2 * cameras.intrinsics[lens == number, 2:].max() for number in range(len(lenses))])
     log_focal_sd = np.full(len(sessions), _LOG_FOCAL_SD)
     np.maximum.at(log_focal_sd, session, log.focal_sd[rows])
     is_fixed = settings.refine_cameras == "never"
     priors = CameraPriors(
-        mean,
+        cameras,
         np.array([_lens_covariance(one, radius) for one in prior]),
         np.full(len(sessions), EXACT_SD) if is_fixed else log_focal_sd,
         np.full(len(sessions), EXACT_SD if is_fixed else _FOCUS_SD),
@@ -308,19 +317,19 @@ def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSetting
         np.where(has_vio, _CENTRE_SD, _GUESSED_CENTRE_SD) * longer_px,
     )
     if is_fixed:
-        priors = replace(priors, mean=cameras, lens_covariance=np.tile(EXACT_SD**2 * np.eye(4), (len(lenses), 1, 1)))
+        priors = replace(priors, lens_covariance=np.tile(EXACT_SD**2 * np.eye(4), (len(lenses), 1, 1)))
     return cameras, priors
 
 
-def _lens_covariance(lens: CalibratedLens, radius: float) -> Array:
+def _lens_covariance(lens: LensPrior, radius: float) -> Array:
     """Prior covariance (4, 4) of k1, k2, k3 and readout of a lens whose images reach out to `radius` (focal lengths).
 
     The priors of k1 and k2 are of lenses without k3. With one they are what comes nearest to that in the image.
     """
     direction = np.array([*-k1_k2_of_k3(radius), 1.0, 0.0])
-    covariance = lens.prior_k3_sd**2 * np.outer(direction, direction)
+    covariance = lens.k3_sd**2 * np.outer(direction, direction)
     others = np.ix_([0, 1, 3], [0, 1, 3])
-    covariance[others] += np.array(lens.prior_covariance, float)
+    covariance[others] += lens.covariance
     return covariance
 
 

@@ -18,6 +18,9 @@ from groundwalk.geometry.rows import summed
 
 # A step is solved to this fraction of its right side, in units of each unknown's own information.
 _TOLERANCE, _MAX_ITERATIONS = 1e-4, 40
+MAX_FACTORED = 25_000
+"""Unknowns of a system whose factor, or inverse, is formed: 5 GB."""
+_MAX_UNFACTORED_ITERATIONS = 500
 _CHUNK = 64  # frames at once, for memory
 _ROWS = 1024  # of a matrix, likewise
 
@@ -67,6 +70,19 @@ class System:
         product[: self.size] += self.gauge @ (frames_x @ self.gauge)
         return product + self.information @ x
 
+    def frame_blocks(self) -> Array:
+        """The matrix's blocks of each frame's own unknowns (N, l, l), without the gauge."""
+        frames, points = len(self.blocks), self.of_points
+        local = self.size // frames
+        row = np.repeat(np.arange(frames), np.diff(points.indptr))
+        eliminated = summed(points.data @ np.swapaxes(points.data, 1, 2), row, frames)
+        blocks = self.blocks[:, :local, :local] - eliminated
+        entries = self.information.tocoo()
+        own = (entries.row // local == entries.col // local) & (entries.row < self.size)
+        at_row, at_column = entries.row[own], entries.col[own]
+        np.add.at(blocks, (at_row // local, at_row % local, at_column % local), entries.data[own])
+        return np.asarray(blocks, float)
+
     def diagonal(self) -> Array:
         """The matrix's diagonal (l N + G,)."""
         frames, points = len(self.blocks), self.of_points
@@ -111,7 +127,8 @@ class Solver:
 
     They differ little, so the factor of one preconditions the next ones' conjugate gradients: a factor takes some
     (l N)^3 operations, a product as many as there are observations. Where conjugate gradients take too many products,
-    the system at hand is factorised.
+    the system at hand is factorised. One of more than MAX_FACTORED unknowns never is: its frames' blocks precondition
+    it (Agarwal et al., "Bundle adjustment in the large", 2010), and a step may stay unfinished.
     """
 
     def __init__(self) -> None:
@@ -119,11 +136,24 @@ class Solver:
 
     def solve(self, system: System, diagonal: Array, damping: float, right: Array) -> Array:
         """x of (matrix + damping * its diagonal) x = right; raises LinAlgError where that isn't positive definite."""
+        unit = 1 / np.sqrt(diagonal)
+        shape = (len(right), len(right))
+        scaled = LinearOperator(shape, lambda x: unit * system.times(unit * x) + damping * x, dtype=float)
+        if len(right) > MAX_FACTORED:
+            local, frames = system.size // len(system.blocks), len(system.blocks)
+            units = unit[: system.size].reshape(frames, local)
+            blocks = units[:, :, None] * system.frame_blocks() * units[:, None, :] + damping * np.eye(local)
+            inverses = np.linalg.inv(blocks)
+
+            def by_blocks(x: Array) -> Array:
+                of_frames = np.einsum("nij,nj->ni", inverses, x[: system.size].reshape(frames, local))
+                return np.concatenate([of_frames.ravel(), x[system.size :]])
+
+            precondition = LinearOperator(shape, by_blocks, dtype=float)
+            limits = {"rtol": _TOLERANCE, "maxiter": _MAX_UNFACTORED_ITERATIONS}
+            return np.asarray(unit * cg(scaled, unit * right, M=precondition, **limits)[0])
         if self._factor is not None:
-            unit = 1 / np.sqrt(diagonal)
             factor = self._factor
-            shape = (len(right), len(right))
-            scaled = LinearOperator(shape, lambda x: unit * system.times(unit * x) + damping * x, dtype=float)
             precondition = LinearOperator(shape, lambda x: cho_solve(factor, x / unit) / unit, dtype=float)
             x, unfinished = cg(scaled, unit * right, rtol=_TOLERANCE, maxiter=_MAX_ITERATIONS, M=precondition)
             if not unfinished:

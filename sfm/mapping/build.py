@@ -2,7 +2,7 @@
 
 import itertools
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pycolmap
@@ -15,6 +15,7 @@ from groundwalk.sfm.mapping.built import BuiltModel, write_built
 from groundwalk.sfm.mapping.held_out import VerifiedPairs, read_matches, write_mapping_input
 from groundwalk.sfm.mapping.mappers import continued, from_poses
 from groundwalk.sfm.mapping.misplaced import adjust_without_misplaced
+from groundwalk.sfm.mapping.stated import check_stated
 from groundwalk.sfm.plugins import MAPPERS, MappingInput
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.child import Report
@@ -45,7 +46,7 @@ def build_models(
     as a whole, with the cameras of phones and robustly: a few per cent of wrong observations would otherwise weigh more
     than all right ones. Frames whose verified matches contradict their poses are taken out (module `misplaced`). A
     model that its images don't determine isn't selected. The largest comes first, and its lenses are the prior of the
-    others'.
+    others'. A stated lens is held unless the images deny it (module `stated`).
     """
     write_mapping_input(verified, source.database, source.seed)
     matches, keypoints = read_matches(source.database), read_keypoints(verified.features, len(verified.frames))
@@ -61,6 +62,7 @@ def build_models(
         for other in set(model.reg_frame_ids()) & assigned:
             model.deregister_frame(other)
         try:
+            log, checks = check_stated(model, matches, keypoints, log, settings, Held())
             adjusted, rows, misplaced = adjust_without_misplaced(model, matches, keypoints, log, settings, Held())
         except LinAlgError as error:
             print(f"{entry.model_id}: not selected, as its images don't determine it: {error}")  # into the log
@@ -75,7 +77,7 @@ def build_models(
         (work / name).mkdir()
         model.write_binary(work / name)
         one = BuiltModel.of(entry.mapping, entry.number, model)
-        built[index] = (replace(one, misplaced=misplaced, folder=name), model)
+        built[index] = (replace(one, misplaced=misplaced, stated=[*map(asdict, checks)], folder=name), model)
     write_built(work, [entry for entry, _ in built])
     shutil.rmtree(output, ignore_errors=True)
     work.rename(output)

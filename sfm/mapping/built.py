@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import pycolmap
 
@@ -13,8 +14,8 @@ _FILE = "built.json"
 @dataclass(frozen=True)
 class BuiltModel:
     """A model that mapping built: by which mapping, its number there, its size, the rows of frames that were taken out
-    as misplaced, and, where it was selected, its folder; beside that `<folder>.npz` has what
-    `groundwalk.sfm.cameras.model_adjustment.load_adjusted` reads."""
+    as misplaced, what its images say of stated lenses (`mapping.stated.StatedCheck`), and, where it was selected, its
+    folder; beside that `<folder>.npz` has what `groundwalk.sfm.cameras.model_adjustment.load_adjusted` reads."""
 
     mapping: str
     number: int
@@ -25,6 +26,7 @@ class BuiltModel:
     mean_reprojection_px: float
     misplaced: Sequence[int] = ()
     folder: str = ""
+    stated: Sequence[dict[str, Any]] = ()
 
     @property
     def model_id(self) -> str:

@@ -4,7 +4,7 @@ import itertools
 import shutil
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from groundwalk.sfm.mapping.built import BuiltModel, write_built
 from groundwalk.sfm.mapping.held_out import VerifiedPairs, read_matches, write_mapping_input
 from groundwalk.sfm.mapping.mappers import continued
 from groundwalk.sfm.mapping.misplaced import adjust_without_misplaced
+from groundwalk.sfm.mapping.stated import StatedCheck, check_stated
 from groundwalk.sfm.model import renumbered
 from groundwalk.sfm.plugins import MappingInput
 from groundwalk.sfm.settings import SfmSettings
@@ -52,9 +53,10 @@ def extend_models(
             folder = work / f"continued_{number}"
             mapped = continued(source, model, folder, lambda: report(next(registered)), held=True)
         added = set(mapped[0].reg_frame_ids()) - held.frames - taken if mapped else set[int]()
-        misplaced: list[int] = []
+        misplaced, checks = list[int](), list[StatedCheck]()
         if added:
             _attach(model, mapped[0], sorted(added))
+            log, checks = check_stated(model, matches, keypoints, log, settings, held)
             adjusted, rows, misplaced = adjust_without_misplaced(model, matches, keypoints, log, settings, held)
             added = set(model.reg_frame_ids()) - held.frames
         if added:
@@ -64,7 +66,8 @@ def extend_models(
                 model.extract_colors_for_image(i, source.images)
         (work / one.folder).mkdir()
         model.write_binary(work / one.folder)
-        built.append(replace(BuiltModel.of(one.mapping, one.number, model), misplaced=misplaced, folder=one.folder))
+        grown = BuiltModel.of(one.mapping, one.number, model)
+        built.append(replace(grown, misplaced=misplaced, stated=[*map(asdict, checks)], folder=one.folder))
     write_built(work, built)
     shutil.rmtree(output, ignore_errors=True)
     work.rename(output)

@@ -32,16 +32,24 @@ def adjust_without_misplaced(
 ) -> tuple[Adjusted, Ints, list[int]]:
     """`adjust_model`, again where frames that aren't held are misplaced: without these, whose rows come back, too."""
     adjusted, rows = adjust_model(model, keypoints, log, settings, held)
-    model_N, sfm_T_cam = np.full(len(keypoints), -1), np.full((len(keypoints), 4, 4), np.nan)
-    for row in (i - 1 for i in model.reg_image_ids()):
-        model_N[row], sfm_T_cam[row] = 0, pose_of(model.image(image_id(row)))
-    check = held_out_check(matches, cameras_of_frames(log, [(adjusted, rows)]), sfm_T_cam, model_N)
+    check = check_of(model, matches, log, adjusted, rows)
     misplaced = [row for row in misplaced_frames(check) if image_id(row) not in held.frames]
     for row in misplaced:
         model.deregister_frame(image_id(row))
     if misplaced and set(model.reg_frame_ids()) != held.frames:
         adjusted, rows = adjust_model(model, keypoints, log, settings, held)
     return adjusted, rows, misplaced
+
+
+def check_of(
+    model: pycolmap.Reconstruction, matches: Matches, log: CameraLog, adjusted: Adjusted, rows: Ints
+) -> pd.DataFrame:
+    """`held_out_check` of an adjusted model, whose frames are `rows`."""
+    count = len(log.t_s)
+    model_N, sfm_T_cam = np.full(count, -1), np.full((count, 4, 4), np.nan)
+    for row in (i - 1 for i in model.reg_image_ids()):
+        model_N[row], sfm_T_cam[row] = 0, pose_of(model.image(image_id(row)))
+    return held_out_check(matches, cameras_of_frames(log, [(adjusted, rows)]), sfm_T_cam, model_N)
 
 
 def misplaced_frames(check: pd.DataFrame) -> list[int]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from groundwalk.features.sift import DESCRIPTOR_SIZE, masked_sift
 from groundwalk.geometry.epipolar import essential
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.cameras.calibration import Calibration, lines_of, to_middle_row
+from groundwalk.sfm.cameras.lenses import SceneLenses, lines_of, to_middle_row
 from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.database import Ints, image_id
 from groundwalk.sfm.pairs.candidates import Pairs
@@ -59,7 +59,7 @@ class FloorSource:
     images: Path
     names: Sequence[str]
     frames: pd.DataFrame
-    calibration: Calibration
+    lenses: SceneLenses
     motion: Motion
 
 
@@ -130,7 +130,7 @@ def match_floor(
     tied = [number for number, matches in enumerate(of_floor) if len(matches)]
     rows = np.unique(pairs[tied]).tolist()
     _append_keypoints(source.features, {row: floors[row].px for row in rows})
-    readout, line = source.calibration.readout_s[source.calibration.lens], lines_of(source.frames)
+    readout, line = source.lenses.readout_s[source.lenses.lens], lines_of(source.frames)
     at_middle_row = {
         row: to_middle_row(floors[row].px, frame, line[row], float(readout[row]), source.motion.angular[row])
         for row, frame in zip(rows, source.frames.iloc[rows].itertuples(index=False), strict=True)

@@ -21,7 +21,6 @@ Proposals = list[tuple[PairOrigin, Pairs]]
 _MAX_ANGLE_DEG = 60.0
 # Of as many frames without VIO all pairs are matched, some 20,000.
 _MAX_EXHAUSTIVE = 200
-_NO_PAIRS = candidates.unique_pairs([])
 
 
 def pairs_within_sessions(settings: SfmSettings, frames: pd.DataFrame, vio: Odometry) -> Proposals:
@@ -60,33 +59,14 @@ def pairs_by_images(settings: SfmSettings, vio: Odometry, known: Proposals, data
         described = vlad(read_descriptors(database, len(vio.session)), seed)
         if not is_few:
             tried = np.concatenate([pairs for _, pairs in known])
-            proposals.append((PairOrigin.RETRIEVAL, _similar(described, vio.recording, free, settings, tried)))
+            place = np.full(len(vio.recording), -1)
+            place[free] = np.arange(len(free))
+            within = place[tried][(place[tried] >= 0).all(axis=1)]
+            similar = retrieval_pairs(described[free], vio.recording[free], settings.retrieval_pairs, within)
+            proposals.append((PairOrigin.RETRIEVAL, free[similar]))
         if across:
             proposals.append((PairOrigin.RETRIEVAL, retrieval_pairs(described, vio.session, settings.retrieval_pairs)))
     return proposals
-
-
-def pairs_of_untimed(settings: SfmSettings, frames: pd.DataFrame, vio: Odometry, database: Path, seed: int) -> Pairs:
-    """Pairs of similar images within recordings without times, whose frames have no neighbours by time."""
-    untimed = np.flatnonzero(~have_times(frames))
-    if not len(untimed):
-        return candidates.unique_pairs([])
-    return _similar(vlad(read_descriptors(database, len(frames)), seed), vio.recording, untimed, settings)
-
-
-def _similar(
-    described: NDArray[np.float32],
-    recording_N: NDArray[np.object_],
-    rows: NDArray[np.int64],
-    settings: SfmSettings,
-    tried: Pairs = _NO_PAIRS,
-) -> Pairs:
-    """Pairs of similar images within the recordings of these rows, all of whose rows they are, but for those tried."""
-    place = np.full(len(recording_N), -1)
-    place[rows] = np.arange(len(rows))
-    within = place[tried]
-    within = within[(within >= 0).all(axis=1)]
-    return rows[retrieval_pairs(described[rows], recording_N[rows], settings.retrieval_pairs, within)]
 
 
 def pairs_of_chains(settings: SfmSettings, vio: Odometry, pairs: Pairs, inliers_P: NDArray[np.int64]) -> Pairs:

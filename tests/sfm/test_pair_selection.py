@@ -12,7 +12,7 @@ from groundwalk.sfm.database import create_database, image_id
 from groundwalk.sfm.pairs import selection
 from groundwalk.sfm.pairs.candidates import first_origins
 from groundwalk.sfm.pairs.odometry import Odometry, odometry
-from groundwalk.sfm.pairs.selection import Proposals, pairs_by_images, pairs_of_untimed, pairs_within_sessions
+from groundwalk.sfm.pairs.selection import Proposals, pairs_by_images, pairs_within_sessions
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import Clock, PairOrigin
 
@@ -105,10 +105,3 @@ def test_of_many_frames_without_vio_the_similar_ones_of_the_recording_are_tried(
     # First and last frame are neighbours round the object, which only the images tell.
     ends = np.flatnonzero(np.isin(scene.place, (0, 49)))
     assert (similar == ends).all(axis=1).any()
-
-
-def test_lenses_of_photos_without_times_are_estimated_from_similar_images(tmp_path: Path) -> None:
-    scene = _Scene(tmp_path, {"photos": Clock.NAME_ORDER, "video": Clock.VIDEO}, (), _shuffled(50))
-    pairs = pairs_of_untimed(_SETTINGS, scene.frames, scene.vio, scene.database, 0)
-    assert set(scene.recording[np.unique(pairs)]) == {"photos"}
-    assert np.quantile(scene.apart(pairs), 0.95) <= 4

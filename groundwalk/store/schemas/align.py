@@ -40,7 +40,7 @@ ground_truth 2.0: One row a frame: where its camera was in the map (metric, +y u
     f{xy} (float64, px): focal length, {}, that goes with the pose; as calibrated where SfM has none
     c{xy} (float64, px): principal point, {}; the first pixel's outer corner is 0
     distortion (list<float64>): OpenCV's k1, k2, p1, p2, k3, ... that go with the pose
-    camera_origin (CameraOrigin): where the lens is from, before the model adjusts it
+    camera_origin (CameraOrigin): where the lens is from; estimated: by the model's images; prior: phones' usual one
 
 sessions 4.0: One row a session, or a part of one between VIO jumps or in another SfM model: where its VIO frame lies in
         the map, and how well it fits. Null where the part has too few frames.

@@ -18,7 +18,7 @@ images 5.0: One row a frame of import.frames: where its model has its camera (sf
     readout_s (float64, s): rolling shutter: time from the first to the last row
     angular_{xyz} (float64, rad/s in cam): angular velocity at the middle row, {}, adjusted
     velocity_{xyz} (float64, sfm units/s in cam): velocity by VIO, {}; 0: unknown
-    camera_origin (CameraOrigin): where the lens is from, before the model adjusts it
+    camera_origin (CameraOrigin): where the lens is from; estimated: by the model's images; prior: phones' usual one
     keypoints (int64): features found in the image
     observations (int64): features that see a point of the model
     track_length (float64?): mean number of frames that see its points
@@ -30,7 +30,7 @@ images 5.0: One row a frame of import.frames: where its model has its camera (sf
         exp(rotation) @ sfm_R_cam and true position = sfm_t_cam + position; relative to the model as a whole; null where
         it can't be had
 
-lenses 4.0: The lenses and rolling shutters of each model, shared by the frames of a device, as adjusted with it.
+lenses 5.0: The lenses and rolling shutters of each model, shared by the frames of a device, as adjusted with it.
     model_id (string): the model: models.model_id
     lens_id (string): device, image size and focal length in image widths
     frames (int64): registered frames with this lens
@@ -42,19 +42,16 @@ lenses 4.0: The lenses and rolling shutters of each model, shared by the frames 
     k3_sd (float64?): standard deviation of k3
     readout_s (float64, s): rolling shutter: time from the first to the last row
     readout_sd_s (float64?, s): standard deviation of the readout time
-    time_offset_s (float64?, s): time stamps minus times of middle rows
-    time_offset_sd_s (float64?, s): standard error of the time offset
-    time_offset_used (bool): held-out pairs accept the time offset: motion is taken there
     stated_k1 (float64): k1 that the capture states; 0: none
     stated_k2 (float64): k2 that the capture states; 0: none
-    origin (CameraOrigin): where k1 and k2 are from, before the model adjusts them
+    origin (CameraOrigin): stated: as stated; estimated: by the model's images; prior: phones' usual one
     stated_is_wrong (bool): the images contradict the stated distortion (docs/explanation/sfm.md)
     stated_is_undecided (bool): so they do, but not beyond chance: the stated one is held
     stated_readout_s (float64?, s): readout time that the capture states; null: none, or a setting holds one
     stated_readout_is_wrong (bool): the images contradict the stated readout time
-    held_out_prior_px (float64?, px): median Sampson distance in held-out pairs with the stated lens, where none is
-        stated with phones' usual one, and with no rolling shutter but a stated one
-    held_out_px (float64?, px): median Sampson distance of the same matches with the lens estimated from pairs
+    held_out_stated_px (float64?, px): median Sampson distance of matches that took no part in mapping, in the model
+        adjusted with what is stated; null where nothing is stated
+    held_out_free_px (float64?, px): the same with what the images say instead
 
 intrinsics 3.0: Each session's focal lengths as adjusted with each model, against the logged ones.
     model_id (string): the model: models.model_id

@@ -11,7 +11,7 @@ from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse
 from groundwalk.geometry.robust import cauchy_weights
 from groundwalk.geometry.shutter import readout_lines
-from groundwalk.sfm.cameras import adjustment
+from groundwalk.sfm.cameras import adjustment, normal_equations
 from groundwalk.sfm.cameras.adjustment import (
     Adjusted,
     Bundle,
@@ -207,6 +207,31 @@ def test_a_system_is_solved_with_the_factor_of_another_one() -> None:
     exact = np.linalg.solve(matrix + 1e-6 * np.diag(other_diagonal), -second.gradient)
     apart = step - exact
     assert apart @ matrix @ apart < 1e-5 * (exact @ matrix @ exact)
+
+
+def test_a_system_that_is_too_large_for_a_factor_is_solved_by_its_frames_blocks(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    system, diagonal, matrix = _system(2)
+    exact = np.linalg.solve(matrix + 1e-3 * np.diag(diagonal), -system.gradient)
+    monkeypatch.setattr(normal_equations, "MAX_FACTORED", 0)
+    monkeypatch.setattr(System, "matrix", None)
+    apart = Solver().solve(system, diagonal, 1e-3, -system.gradient) - exact
+    assert apart @ matrix @ apart < 1e-4 * (exact @ matrix @ exact)
+    # A block is the matrix's, but for what holds the gauge.
+    frames = len(system.blocks)
+    index = np.arange(system.size).reshape(frames, -1)
+    gauge = system.gauge.reshape(*index.shape, -1)
+    expected = matrix[index[:, :, None], index[:, None, :]] - gauge @ np.swapaxes(gauge, 1, 2)
+    assert np.allclose(system.frame_blocks(), expected, rtol=1e-9, atol=1e-9 * diagonal.max())
+
+
+def test_a_model_too_large_for_a_factor_comes_out_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    factored, truth, _ = _adjusted(0)
+    monkeypatch.setattr(normal_equations, "MAX_FACTORED", 0)
+    large, _, _ = _adjusted(0)
+    assert _position_error_m(large.bundle, truth) < 1.05 * _position_error_m(factored.bundle, truth)
+    assert np.allclose(large.cameras.coefficients, factored.cameras.coefficients, atol=2e-3)
 
 
 def _system(seed: int) -> tuple[System, Array, Array]:

@@ -11,6 +11,7 @@ from groundwalk.sfm.mapping.built import BuiltModel
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.sfm.tables import camera_tables
+from groundwalk.store.choices import CameraOrigin
 from tests.sfm.synthetic_model import log_of, synthetic_model
 
 
@@ -50,7 +51,9 @@ def test_cameras_of_a_model_without_covariances_have_no_sigma() -> None:
     model = synthetic_model()
     log = log_of(model)
     adjusted = adjust_model(model, _keypoints(model), log, SfmSettings())
-    lenses, sessions = camera_tables(log, [BuiltModel.of("incremental", 0, model)], [adjusted], [None])
+    lenses, sessions = camera_tables(
+        log, [CameraOrigin.STATED] * 6, [BuiltModel.of("incremental", 0, model)], [adjusted], [None]
+    )
     assert lenses[["k1_sd", "k2_sd", "k3_sd", "readout_sd_s"]].isna().all(axis=None)
     assert sessions["focal_scale_sd"].isna().all() and sessions["session_id"].tolist() == ["walk"]
     assert lenses["frames"].tolist() == sessions["frames"].tolist() == [6]

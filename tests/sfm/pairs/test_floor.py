@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.features.sift import even_sift
 from groundwalk.geometry.poses import Array, inverse, make_pose, relative, rotation_angle
-from groundwalk.sfm.cameras.calibration import prior_lenses
+from groundwalk.sfm.cameras.lenses import prior_lenses
 from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.database import create_database, image_id, read_pair_results
 from groundwalk.sfm.pairs.floor import FloorSource, floor_features, floor_matches, match_floor
@@ -175,10 +175,10 @@ def scene(folder: Path) -> tuple[FloorSource, Path, Array]:
                 opened.write_keypoints(image_id(row), found.px)
                 opened.write_descriptors(image_id(row), pycolmap.FeatureDescriptors(data=found.descriptors, type=sift))
         match_pairs(quiet, path, PAIRS, 0)
-    calibration = prior_lenses(frames, {"s": "phone"}, SfmSettings(lens="stated", readout_s=0.0))
+    lenses = prior_lenses(frames, {"s": "phone"}, SfmSettings(lens="stated", readout_s=0.0))
     motion = Motion(np.zeros((2, 3)), np.zeros(2), np.zeros((2, 3)), np.ones(2, bool))
     turned = make_pose(Rotation.from_rotvec([0, np.radians(1.0), 0]).as_matrix(), [0.01, 0, 0])
     vio_T_cam = np.stack([TURN[0], turned @ TURN[1]])
-    source = FloorSource(features, folder, names, frames, calibration, motion)
+    source = FloorSource(features, folder, names, frames, lenses, motion)
     assert np.degrees(rotation_angle((inverse(vio_T_cam[1]) @ TURN[1])[:3, :3])) > 0.9
     return source, database, vio_T_cam
