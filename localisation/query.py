@@ -49,10 +49,7 @@ class MapLocaliser:
 
     def __init__(self, content: CompactMap) -> None:
         self.map, self.xyz, self.scene = content, content.xyz, content.scene
-        views = np.repeat(np.arange(len(content.map_T_view)), np.diff(content.seen_bounds))
-        order = np.argsort(content.seen, kind="stable")
-        self._seen_by = views[order]
-        self._seen_by_bounds = np.searchsorted(content.seen[order], np.arange(len(content.xyz) + 1))
+        self._seen_by, self._seen_by_bounds = content.views_by_point()
         self._covariance = point_covariances(content)
 
     def bytes_by_part(self) -> dict[str, int]:

@@ -208,7 +208,14 @@ def _inliers(observations: Observations, model_T_cam: Array, count: int, min_pix
     usable = in_two_frames(observations, count)
     robust = np.zeros(len(usable))
     if usable.any():
-        robust[usable] = _robust_weights(observations.where(usable), model_T_cam, count, min_pixel_sd)
+        seen = observations.where(usable)
+        _, robust[usable] = fit_robust(
+            lambda weights: triangulate(seen, model_T_cam, count, weights),
+            lambda xyz: np.linalg.norm(_linearise(seen, model_T_cam, xyz).residual, axis=1),
+            len(seen.corner),
+            floor=2 * min_pixel_sd,
+            tolerance=_IRLS_TOLERANCE,
+        )
     inlier = usable & (robust >= _INLIER_WEIGHT)
     inlier[inlier] = in_two_frames(observations.where(inlier), count)
     return usable, inlier
@@ -241,18 +248,6 @@ def _linearise(observations: Observations, model_T_cam: Array, xyz: Array) -> _L
     # The camera truly is at exp(rotation) R, t + position: what is observed differs by the opposite of this.
     by_pose = np.concatenate([-by_corner @ skew(arm), by_corner], axis=2)
     return _Linearization(residual, by_corner, by_pose)
-
-
-def _robust_weights(used: Observations, model_T_cam: Array, count: int, min_pixel_sd: float) -> Array:
-    def residuals(xyz: Array) -> Array:
-        return np.asarray(np.linalg.norm(_linearise(used, model_T_cam, xyz).residual, axis=1))
-
-    def fit(weights: Array) -> Array:
-        return triangulate(used, model_T_cam, count, weights)
-
-    floor = 2 * min_pixel_sd
-    _, weights = fit_robust(fit, residuals, len(used.corner), floor=floor, tolerance=_IRLS_TOLERANCE)
-    return weights
 
 
 def _in_parts_with_two(corners: Corners, corner: Indices) -> Mask:
