@@ -166,7 +166,8 @@ def measure(
     residual = np.full((len(usable), 2), np.nan)
     residual[usable] = _linearise(observations.where(usable), model_T_cam, xyz).residual
     frames = np.unique(used.frame)
-    centre = np.nanmean(xyz, axis=0)
+    rays = model_T_cam[frames, :3, 3] - np.nanmean(xyz, axis=0)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     return RulerFit(
         float(np.log(scale)),
         sd,
@@ -175,7 +176,7 @@ def measure(
         residual,
         inlier,
         frames,
-        _max_angle(model_T_cam[frames, :3, 3] - centre),
+        float(np.arccos(np.clip(rays @ rays.T, -1, 1)).max()),
         pixel_sd,
         _is_seen_from_behind(corners, fitted, model_T_cam[frames, :3, 3]),
         _flatness(corners, xyz),
@@ -317,11 +318,6 @@ def _scale_sd(
     by_frame = np.bincount(used.frame, np.sum(influence * at.residual, axis=1))
     scatter = np.sum(by_frame**2) * frames / (frames - 1)
     return float(np.sqrt(max(propagated, scatter)))
-
-
-def _max_angle(rays: Array) -> float:
-    unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return float(np.arccos(np.clip(unit @ unit.T, -1, 1)).max())
 
 
 def _is_seen_from_behind(corners: Corners, fitted: Array, centres: Array) -> bool:
