@@ -101,18 +101,8 @@ def look_at(session: Session, has_up: bool, reader: ImageReader) -> Look:
 def capture_page(name: str, looks: Sequence[Look], lines: Sequence[str]) -> str:
     """The page of a capture as HTML, one file: its sessions one after the other, then the lines of `inspect`."""
     rows = advice(looks)
-    parts = [
-        html_table(
-            plain_grid(
-                "better",
-                "In the next walk",
-                "By the figures below. Whether this one can be used stands at the end.",
-                "recording | what to do | why",
-                rows,
-                labels=3,
-            )
-        )
-    ]
+    caption = "By the figures below. Whether this one can be used stands at the end."
+    parts = [html_table(plain_grid("better", "In the next walk", caption, "recording | what to do | why", rows, 3))]
     if looks and not rows:
         parts.append(Markup("<p>Nothing below asks for another walk.</p>"))
     parts += [_session_part(look, place) for place, look in enumerate(looks)]

@@ -159,8 +159,8 @@ def compare(
         if difference.is_clear:
             told = f"{difference.verdict}: {difference.run}: {difference.subject}: {difference.figure}"
             progress.stdout.print(f"{told}: {difference.before:.4g} → {difference.after:.4g}")
-    alike = sum(not difference.is_clear for difference in found)
-    progress.stdout.print(f"{alike} of {len(found)} figures don't differ by more than noise")
+    same = sum(not difference.is_clear for difference in found)
+    progress.stdout.print(f"{same} of {len(found)} figures don't differ by more than noise")
     progress.stdout.print(str(out))
     if limit is not None and any(difference.is_worse_by(limit) for difference in found):
         raise typer.Exit(1)

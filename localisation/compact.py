@@ -64,17 +64,21 @@ class CompactMap:
         """Unit descriptors (K, D) of RootSIFT descriptors (K, 128)."""
         return unit((unit(sift) - self.mean) @ self.basis)
 
+    def views_by_point(self) -> tuple[Ints, Ints]:
+        """Training frames by the points that they saw, and where each point's begin and the last one's end (P + 1,)."""
+        view = np.repeat(np.arange(len(self.map_T_view)), np.diff(self.seen_bounds))
+        order = np.argsort(self.seen, kind="stable")
+        return view[order], np.searchsorted(self.seen[order], np.arange(len(self.xyz) + 1))
+
 
 def point_covariances(content: CompactMap) -> Array:
     """Covariances (P, 3, 3), m^2, of the map's points, by from where its frames saw them."""
-    view = np.repeat(np.arange(len(content.map_T_view)), np.diff(content.seen_bounds))
-    order = np.argsort(content.seen, kind="stable")
-    offset = content.xyz[content.seen[order]] - content.map_T_view[view[order], :3, 3]
+    view, ends = content.views_by_point()
+    offset = np.repeat(content.xyz, np.diff(ends), axis=0) - content.map_T_view[view, :3, 3]
     squared = np.sum(offset**2, axis=1)
     # A ray measures what is across it, the better the nearer: (I - d d^T) / distance^2.
     outer = np.einsum("oi,oj->oij", offset, offset) / squared[:, None, None]
     across = ((np.eye(3) - outer) / squared[:, None, None]).reshape(-1, 9)
-    ends = np.searchsorted(content.seen[order], np.arange(len(content.xyz) + 1))
     sums = np.concatenate([np.zeros((1, 9)), np.cumsum(across, axis=0)])
     information = (sums[ends[1:]] - sums[ends[:-1]]).reshape(-1, 3, 3)
     ridge = (1e-9 + 1e-6 * np.trace(information, axis1=1, axis2=2))[:, None, None] * np.eye(3)

@@ -86,10 +86,10 @@ class HLocLocaliser:
         if not len(features):
             return refused(Refusal.FEW_FEATURES, "no features: dark or blurred?")
         query = replace(features, descriptors=unit(features.descriptors))
-        alike = self._images @ aggregate(query.descriptors, self._words)
+        similarity = self._images @ aggregate(query.descriptors, self._words)
         size: Size = (camera.width, camera.height)
         matches = []  # keypoints of the query and points (M, 2) by matches with an image
-        for view in np.argsort(-alike, kind="stable")[: self.settings.retrieved].tolist():
+        for view in np.argsort(-similarity, kind="stable")[: self.settings.retrieved].tolist():
             rows = self.kind.match(query, self._features[view], size, self._sizes[view])
             point = self._point[self._first[view] + rows[:, 1]]
             matches.append(np.stack([rows[:, 0], point], axis=1)[point >= 0])

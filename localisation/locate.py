@@ -54,7 +54,7 @@ def locate(
     image whose own file has other intrinsics is asked with these. An image of a folder that can't be
     asked is refused as bad_input; it's an error where that is so of all.
     """
-    ask = _asked(map_, bundle, scene, network, verify)
+    ask = _opened(map_, bundle, scene, network, verify)
     common: Row = {}
     if intrinsics:
         common |= dict(zip(("fx", "fy", "cx", "cy"), numbers(intrinsics, 4, "--intrinsics"), strict=True))
@@ -126,7 +126,7 @@ def read_localiser(path: Path, scene: str = "") -> "FileLocaliser":
     return localiser
 
 
-def _asked(map_: Path | None, bundle: Path | None, scene: str, network: str, verify: bool) -> Callable[[Query], Row]:
+def _opened(map_: Path | None, bundle: Path | None, scene: str, network: str, verify: bool) -> Callable[[Query], Row]:
     """What answers a query with a row: the map or the bundle, whichever is named."""
     if (map_ is None) == (bundle is None):
         options = "neither" if map_ is None else "both"

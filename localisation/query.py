@@ -49,10 +49,7 @@ class MapLocaliser:
 
     def __init__(self, content: CompactMap) -> None:
         self.map, self.xyz, self.scene = content, content.xyz, content.scene
-        views = np.repeat(np.arange(len(content.map_T_view)), np.diff(content.seen_bounds))
-        order = np.argsort(content.seen, kind="stable")
-        self._seen_by = views[order]
-        self._seen_by_bounds = np.searchsorted(content.seen[order], np.arange(len(content.xyz) + 1))
+        self._seen_by, self._seen_by_bounds = content.views_by_point()
         self._covariance = point_covariances(content)
 
     def bytes_by_part(self) -> dict[str, int]:
@@ -112,16 +109,16 @@ class MapLocaliser:
         rows = rows if hidden is None else rows[~hidden[rows]]
         product = query @ self.map.descriptors[rows].T
         px = features.px.astype(float)
-        asked = _Query(px, camera.unproject(px), self.xyz[rows], self._covariance[rows], camera, readout_s, gravity)
+        known = _Query(px, camera.unproject(px), self.xyz[rows], self._covariance[rows], camera, readout_s, gravity)
         matches = _ratio_matches(product, _RATIO)
-        matches = matches[np.isfinite(asked.ideal[matches[:, 0]]).all(axis=1)]
+        matches = matches[np.isfinite(known.ideal[matches[:, 0]]).all(axis=1)]
         count, seen = len(matches), seen_by(px, rows, matches, np.empty((0, 2), np.int64))
         if count < _MIN_MATCHES:
             return refused(Refusal.FEW_MATCHES, f"{count} matches, {_MIN_MATCHES} needed", count, 0, seen)
-        solution = asked.pose(matches, seed)
+        solution = known.pose(matches, seed)
         if solution is None or solution[1].sum() < _MIN_POSE:
             return refused(Refusal.NO_POSE, f"no pose explains {_MIN_POSE} of {count} matches", count, 0, seen)
-        fit, inliers = self._refined(solution[0], matches[solution[1]], product, asked)
+        fit, inliers = self._refined(solution[0], matches[solution[1]], product, known)
         seen, calibration = seen_by(px, rows, matches, inliers), self.map.calibration
         # What the pose itself brought to the keypoints near where it predicts points is no evidence for it.
         agreeing = len(set(map(tuple, matches.tolist())) & set(map(tuple, inliers.tolist())))
@@ -138,11 +135,11 @@ class MapLocaliser:
         best, second, nearest = (np.full(len(query), -1.0), np.full(len(query), -1.0), np.zeros(len(query), np.int64))
         probes = min(_PROBES, len(content.words))
         word = np.argpartition(-(query @ content.words.T), probes - 1, axis=1)[:, :probes]
-        asked = np.argsort(word.ravel(), kind="stable")
-        bounds = np.searchsorted(word.ravel()[asked], np.arange(len(content.words) + 1))
-        asked //= probes
+        by_word = np.argsort(word.ravel(), kind="stable")
+        bounds = np.searchsorted(word.ravel()[by_word], np.arange(len(content.words) + 1))
+        by_word //= probes
         for number in range(len(content.words)):
-            rows = asked[bounds[number] : bounds[number + 1]]
+            rows = by_word[bounds[number] : bounds[number + 1]]
             start, end = content.word_bounds[number : number + 2]
             if not len(rows) or start == end:
                 continue
@@ -170,22 +167,22 @@ class MapLocaliser:
         turned = np.degrees(np.arccos(np.clip(cosine, -1, 1))) / 15
         return np.argsort(np.hypot(away, turned), kind="stable")[:_VIEWS]
 
-    def _refined(self, map_T_cam: Array, matches: Ints, product: Floats, asked: "_Query") -> tuple[Fit | None, Ints]:
+    def _refined(self, map_T_cam: Array, matches: Ints, product: Floats, known: "_Query") -> tuple[Fit | None, Ints]:
         """The refined pose and its inliers (keypoint, point): first of RANSAC's matches, then of all points that it
         predicts near a keypoint that looks alike."""
         priors = self.map.priors
-        fit = asked.refined(map_T_cam, matches, priors, _ROUGHLY)
+        fit = known.refined(map_T_cam, matches, priors, _ROUGHLY)
         for _ in range(2):
-            matches = _guided(fit, asked, product)
+            matches = _guided(fit, known, product)
             if len(matches) < _MIN_POSE:
                 return None, matches
-            fit = asked.refined(fit.map_T_cam, matches, priors, _ROUGHLY)
-            scale = _scale(asked.camera)
+            fit = known.refined(fit.map_T_cam, matches, priors, _ROUGHLY)
+            scale = _scale(known.camera)
             limit = np.clip(_INLIER_SIGMAS * fit.expected_px, _MIN_INLIER_PX * scale, _MAX_INLIER_PX * scale)
             matches = matches[fit.residual_px < limit]
         if len(matches) < _MIN_POSE:
             return None, matches
-        return asked.refined(fit.map_T_cam, matches, priors), matches
+        return known.refined(fit.map_T_cam, matches, priors), matches
 
 
 @dataclass(frozen=True)
@@ -214,20 +211,20 @@ class _Query:
         return refine(map_T_cam, seen, self.camera, self.readout_s, priors, self.gravity, iterations)
 
 
-def _guided(fit: Fit, asked: _Query, product: Floats) -> Ints:
+def _guided(fit: Fit, known: _Query, product: Floats) -> Ints:
     """Keypoints and points (M, 2), one to one, where a point is predicted near a keypoint that looks like it."""
-    predicted = _predicted(fit, asked.xyz, asked.camera, asked.readout_s)
+    predicted = _predicted(fit, known.xyz, known.camera, known.readout_s)
     inside = np.flatnonzero(np.isfinite(predicted).all(axis=1))
     if not len(inside):
         return np.empty((0, 2), np.int64)
-    near, keypoint = cKDTree(asked.px).query(
-        predicted[inside], k=4, distance_upper_bound=_GUIDED_PX * _scale(asked.camera)
+    near, keypoint = cKDTree(known.px).query(
+        predicted[inside], k=4, distance_upper_bound=_GUIDED_PX * _scale(known.camera)
     )
     point = np.broadcast_to(inside[:, None], keypoint.shape)[np.isfinite(near)]
     keypoint = keypoint[np.isfinite(near)]
     similarity = product[keypoint, point]
-    alike = similarity > _MIN_SIMILARITY
-    order = np.flatnonzero(alike)[np.argsort(-similarity[alike], kind="stable")]
+    similar = similarity > _MIN_SIMILARITY
+    order = np.flatnonzero(similar)[np.argsort(-similarity[similar], kind="stable")]
     keypoint, point = keypoint[order], point[order]
     first_of_keypoint, first_of_point = (np.unique(values, return_index=True)[1] for values in (keypoint, point))
     both = np.intersect1d(first_of_keypoint, first_of_point)

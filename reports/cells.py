@@ -186,8 +186,8 @@ def localiser_errors(scene: SceneInputs, cells: pd.DataFrame) -> Iterator[Locali
     ours = ours[ours["row"] == "all"]
     for model in scene.models:
         for method in dict.fromkeys([RAW_METHOD, scene.best(model)]):
-            of_way = ours[(ours["model"] == model) & (ours["method"] == method)]
-            text = of_way.set_index(["statistic", "quantity"])["text"]
+            of_method = ours[(ours["model"] == model) & (ours["method"] == method)]
+            text = of_method.set_index(["statistic", "quantity"])["text"]
             if method is not None and len(text):
                 yield LocaliserErrors(
                     model=model,

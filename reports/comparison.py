@@ -1,7 +1,7 @@
 """What differs between runs of the same captures: settings and inputs, and figures, as far as that is beyond noise.
 
 Figures are paired, over the frames that both runs have. How far a difference would move with other frames is found by
-drawing pieces of walks again: neighbouring frames share their error, and so does a walk, of which there are few.
+a block bootstrap over walks: neighbouring frames share their error, and so does a walk, of which there are few.
 """
 
 from collections.abc import Iterator
@@ -20,9 +20,9 @@ from groundwalk.reports.templating import plain_page
 from groundwalk.scoring.bootstrap import CONFIDENCE, DRAWS, drawn_figures, draws
 from groundwalk.scoring.errors import sure_enough
 
-PIECE = 10
+BLOCK = 10
 """Consecutive frames of a walk that are drawn together."""
-MIN_PIECES = 3
+MIN_BLOCKS = 3
 _TRUTH, _ALONE = "ground truth", "raw"
 # What is compared, of drawn_figures, and what it's called of each.
 _COMPARED = ("coverage_pct", "position_median_m", "rotation_median_deg")
@@ -95,13 +95,13 @@ def differences(first: ComparedRun, other: ComparedRun) -> list[Difference]:
         for run in (first, other)
     )
     found = list(_paired(other.name, _TRUTH, _TRUTH, *sigmas))
-    for model, method in _ways(first):
+    for model, method in _models_and_methods(first):
         name = f"{model}, alone" if method == _ALONE else f"{model} with {method}"
         found += _paired(other.name, name, _ALONE, *(_errors(run.errors, model, method) for run in (first, other)))
     return found
 
 
-def _ways(run: ComparedRun) -> Iterator[tuple[str, str]]:
+def _models_and_methods(run: ComparedRun) -> Iterator[tuple[str, str]]:
     """Model and method: each model alone, and with the method that is ahead on frames held out of training."""
     ahead = run.validation[run.validation["ahead"].astype(bool) & (run.validation["method"] != _ALONE)]
     for model in dict.fromkeys(run.errors["model"]):
@@ -126,8 +126,8 @@ def _paired(run: str, subject: str, kind: str, before: pd.DataFrame, after: pd.D
     if both.empty:
         return
     walks = both.groupby(["scene", "session_id"])
-    pieces = pd.factorize(walks.ngroup() * len(both) + walks.cumcount() // PIECE)[0]
-    weights = draws(int(pieces.max()) + 1)[:, pieces]
+    blocks = pd.factorize(walks.ngroup() * len(both) + walks.cumcount() // BLOCK)[0]
+    weights = draws(int(blocks.max()) + 1)[:, blocks]
     first, other = (
         dict(
             drawn_figures(
@@ -141,7 +141,7 @@ def _paired(run: str, subject: str, kind: str, before: pd.DataFrame, after: pd.D
     )
     for figure, name in zip(_COMPARED, _NAMES[kind], strict=True):
         low, high = np.nan, np.nan
-        if pieces.max() + 1 >= MIN_PIECES:
+        if blocks.max() + 1 >= MIN_BLOCKS:
             low, high = _bounds(first[figure][1:], other[figure][1:])
         numbers = (float(first[figure][0]), float(other[figure][0]), low, high)
         yield Difference(run, subject, name, len(both), *numbers, more_is_better=figure == "coverage_pct")
@@ -149,8 +149,8 @@ def _paired(run: str, subject: str, kind: str, before: pd.DataFrame, after: pd.D
 
 def _bounds(before: Array, after: Array) -> tuple[float, float]:
     """The middle CONFIDENCE of differences; two infinite errors are alike."""
-    alike = before == after
-    change = np.subtract(after, before, out=np.zeros(len(after)), where=~alike)
+    equal = before == after
+    change = np.subtract(after, before, out=np.zeros(len(after)), where=~equal)
     tail = 100 * (1 - CONFIDENCE) / 2
     low, high = np.percentile(change, [tail, 100 - tail], method="nearest")
     return float(low), float(high)
@@ -197,7 +197,7 @@ def figures_grid(found: list[Difference], unit: str) -> Grid | None:
     heads = "run | of | figure | against the first | frames | first | this | change (%) | 95 % of the difference"
     caption = (
         f"Paired, over the frames that both runs have; {EMPTY}: infinite, as most frames have no pose. The same: the "
-        f"difference isn't larger than noise, by drawing pieces of {PIECE} consecutive frames of a walk again, {DRAWS} "
+        f"difference isn't larger than noise, by drawing blocks of {BLOCK} consecutive frames of a walk again, {DRAWS} "
         "times."
     )
     return plain_grid("figures", "Figures", caption, heads, rows, 4)

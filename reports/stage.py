@@ -10,7 +10,7 @@ from groundwalk.reports.figures import scene_figures
 from groundwalk.reports.grids import Grid, html_table, latex, markdown
 from groundwalk.reports.inputs import SceneInputs, read_scene
 from groundwalk.reports.published import load_published
-from groundwalk.reports.run_checks import AGREES, as_table, run_findings
+from groundwalk.reports.run_checks import AGREES, run_findings
 from groundwalk.reports.runs_index import THUMBNAIL
 from groundwalk.reports.tables import Tables
 from groundwalk.reports.verdict import as_json, judge
@@ -23,14 +23,14 @@ from groundwalk.store.tables import scale_warning
 def run(r: StageRun[ReportSettings]) -> None:
     scenes = [read_scene(r, leaf) for leaf in r.leaves]
     grids: list[Grid] = []
-    all_cells, findings = schema("report", "cells").arrow().empty_table().to_pandas(), as_table([])
+    all_cells, findings = (schema("report", name).arrow().empty_table().to_pandas() for name in ("cells", "checks"))
     if all("fuse" in scene.stages for scene in scenes):
         with r.step("tables"):
             parts = [cells.our_cells(scenes)]
             if r.settings.published:
                 parts.append(cells.published_cells(load_published(r.data.files("published")), scenes))
             all_cells = pd.concat([part for part in parts if len(part)], ignore_index=True)
-            findings = as_table([finding for scene in scenes for finding in run_findings(scene)])
+            findings = pd.concat([run_findings(scene) for scene in scenes], ignore_index=True)
             grids = Tables(all_cells, scenes).all()
             (r.work / "tables").mkdir(exist_ok=True)
             for grid in grids:

@@ -25,7 +25,7 @@ SUBSET_TITLES = {
     "rp+opt": "Reliable predictions and optimised poses",
 }
 _ENVIRONMENTS = ("outdoor", "indoor", "unknown")
-_WAYS = ((RAW_METHOD, "all"), (RAW_METHOD, "subset"), (PAPER_METHOD, "subset"))
+_SCORED = ((RAW_METHOD, "all"), (RAW_METHOD, "subset"), (PAPER_METHOD, "subset"))
 _PUBLISHED_NOTE = (
     "Lines marked “published” are printed in the MobileARLoc paper: other captures, other phone, other machine. They "
     "stand here for orientation; this run didn't measure them."
@@ -49,7 +49,7 @@ class Tables:
         self.text = dict(zip(printed[keys].itertuples(index=False, name=None), printed["text"], strict=True))
         # Without the paper's rule the model alone is all that its tables have.
         has_rule = (printed["method"] == PAPER_METHOD).any()
-        self.ways = _WAYS if has_rule else _WAYS[:1]
+        self.scored = _SCORED if has_rule else _SCORED[:1]
         self.titles = SUBSET_TITLES if has_rule else {"rp+opt": "All test frames"}
 
     def all(self) -> list[Grid]:
@@ -84,8 +84,8 @@ class Tables:
         for statistic in ("mean", "median"):
             for model in self.models:
                 group = f"{statistic} ({self.unit}/°)"
-                columns += [(group, column_name(self.labels[model], *way)) for way in self.ways]
-                names += [column_name(model, *way, statistic) for way in self.ways]
+                columns += [(group, column_name(self.labels[model], *scored)) for scored in self.scored]
+                names += [column_name(model, *scored, statistic) for scored in self.scored]
 
         def cell(look: Look, name: str) -> str:
             pair = [look(f"{name} {quantity}") for quantity in ("translation", "rotation")]
@@ -98,8 +98,8 @@ class Tables:
     def levels(self) -> Grid:
         """Table III: shares of frames within the accuracy levels."""
         columns, group = [("", "scene"), ("", "numbers")], "high/medium/low (share)"
-        columns += [(group, column_name(self.labels[m], *way)) for m in self.models for way in self.ways]
-        names = [column_name(m, *way) for m in self.models for way in self.ways]
+        columns += [(group, column_name(self.labels[m], *scored)) for m in self.models for scored in self.scored]
+        names = [column_name(m, *scored) for m in self.models for scored in self.scored]
 
         def cell(look: Look, name: str) -> str:
             levels = [look(f"{name} level {level}") for level in LEVELS]
@@ -131,10 +131,10 @@ class Tables:
             for model, cells in of_scene.groupby("model", sort=False):
                 causal: list[Row] = []
                 offline: list[Row] = []
-                for method, way in cells.groupby("method", sort=False):
+                for method, of_method in cells.groupby("method", sort=False):
                     label = column_name(scene.label(str(model)), str(method), "all", labels=scene.method_labels)
                     rows = offline if method in scene.offline else causal
-                    rows.append(Row((scene.name, label, *self._method_numbers(way))[: len(columns)], OURS))
+                    rows.append(Row((scene.name, label, *self._method_numbers(of_method))[: len(columns)], OURS))
                 blocks.append(Block(f"{scene.name}, {model}", tuple(causal)))
                 if offline:
                     title = f"{scene.name}, {model}, offline: sees the whole walk, not to be ranked with the others"
@@ -170,8 +170,8 @@ class Tables:
             if scene.uncertain_frames
         ]
 
-    def _method_numbers(self, way: pd.DataFrame) -> list[str]:
-        text = way.set_index(["row", "statistic", "quantity"])["text"].to_dict()
+    def _method_numbers(self, cells: pd.DataFrame) -> list[str]:
+        text = cells.set_index(["row", "statistic", "quantity"])["text"].to_dict()
 
         def pair(row: str, statistic: str) -> str:
             errors = [text[row, statistic, quantity] for quantity in ("translation", "rotation")]
@@ -231,7 +231,7 @@ class Tables:
         notes = [
             "“Same frames” is the model alone over just the frames of the subset: like for like with “+VIO”, the "
             "paper's rule. The plain column is over all test frames, as in the paper.",
-        ] * (len(self.ways) > 1)
+        ] * (len(self.scored) > 1)
         for scene in self.scenes.values():
             shares = []
             for model in scene.models if scene.fused_method == PAPER_METHOD else ():

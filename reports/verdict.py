@@ -148,12 +148,12 @@ def state_of(checks: pd.DataFrame, quality: pd.Series) -> tuple[State, str]:
     """Whether a capture with ground truth is accepted, and why: by the table align.checks, and the quality classes of
     its frames. This is what page, verdict.json, terminal and the tables of docs/results mean by it."""
     of_map = checks[checks["check"].isin(_OF_THE_MAP)]
-    doubts = list(dict.fromkeys(of_map.loc[of_map["status"] != "passed", "reason"]))
+    reasons = list(dict.fromkeys(of_map.loc[of_map["status"] != "passed", "reason"]))
     share = quality.isin(SURE_CLASSES).mean()
     if share < MIN_TRUSTED:
-        doubts.append(f"{100 * MIN_TRUSTED:.0f} % are needed")
-    if doubts:
-        return State.UNDECIDED, f"{100 * share:.0f} % of the frames are of class A or B, but: {'; '.join(doubts)}"
+        reasons.append(f"{100 * MIN_TRUSTED:.0f} % are needed")
+    if reasons:
+        return State.UNDECIDED, f"{100 * share:.0f} % of the frames are of class A or B, but: {'; '.join(reasons)}"
     return State.ACCEPTED, f"{100 * share:.0f} % of the frames are of class A or B; scale and vertical are known"
 
 

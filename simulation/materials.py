@@ -268,6 +268,17 @@ def tiles(size_m: float, colours: Sequence[Bgr], joint: Bgr, spread: float = 8.0
     return paint
 
 
+def stripes(first: Bgr, second: Bgr, width_m: float) -> Material:
+    """Cloth in two colours, as of awnings."""
+
+    def paint(c: Canvas) -> None:
+        for k in range(int(c.width_m / width_m) + 1):
+            c.box(width_m * k, 0, width_m * k + width_m, c.height_m, second if k % 2 else first)
+        c.add(c.noise((0.05, 0.3, 1.0)), (8, 8, 8))
+
+    return paint
+
+
 def carpet(colour: Bgr) -> Material:
     """Woven carpet with worn tracks and spots."""
 

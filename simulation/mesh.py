@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from groundwalk.simulation import atlas
 from groundwalk.simulation.canvas import Canvas
@@ -39,14 +38,15 @@ def build_mesh(place: Place, texel_m: float, seed: int, track: Track = lambda it
 
     quads: list[Quad | Crown] = [*place.quads]
     things = [*quads, *place.crowns]
-    sizes = [_size(thing, texel_m) for thing in things]
+    sizes = [_canvas(thing, texel_m, np.random.default_rng(0)).shape for thing in things]
     origins, (height, width) = atlas.pack(sizes)
     pixels = np.zeros((height, width * 3 // 2, 3), np.uint8)
     a, b, box, tint, surface = [], [], [], [], []
     for i, thing in enumerate(track(things, "painting surfaces")):
         rng = np.random.default_rng([seed, zlib.crc32(place.name.encode()), zlib.crc32(thing.name.encode())])
-        picture = _painted(thing, texel_m, rng)
-        h, w = picture.shape[:2]
+        canvas = _canvas(thing, texel_m, rng)
+        thing.paint(canvas)
+        picture, (h, w) = canvas.image, canvas.shape
         if isinstance(thing, Quad):
             if not thing.glass:
                 # Display values go with about the square root of light.
@@ -80,23 +80,11 @@ def build_mesh(place: Place, texel_m: float, seed: int, track: Track = lambda it
     )
 
 
-def _metres(thing: Quad | Crown, texel_m: float) -> tuple[float, float, float]:
-    """Width, height and texel of a thing's picture."""
+def _canvas(thing: Quad | Crown, texel_m: float, rng: np.random.Generator) -> Canvas:
+    """What a thing's picture is painted on."""
     if isinstance(thing, Crown):
-        return thing.picture_m, thing.picture_m, texel_m
-    return thing.width_m, thing.height_m, texel_m * thing.texel
-
-
-def _size(thing: Quad | Crown, texel_m: float) -> tuple[int, int]:
-    w, h, texel = _metres(thing, texel_m)
-    return Canvas(w, h, texel, np.random.default_rng(0)).shape
-
-
-def _painted(thing: Quad | Crown, texel_m: float, rng: np.random.Generator) -> NDArray[np.uint8]:
-    w, h, texel = _metres(thing, texel_m)
-    canvas = Canvas(w, h, texel, rng)
-    thing.paint(canvas)
-    return canvas.image
+        return Canvas(thing.picture_m, thing.picture_m, texel_m, rng)
+    return Canvas(thing.width_m, thing.height_m, texel_m * thing.texel, rng)
 
 
 def _quad_map(quad: Quad, width: int, height: int) -> tuple[Vec, Vec]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import inverse
 from groundwalk.simulation import camera
@@ -66,16 +67,13 @@ class Truth:
 
 @dataclass(frozen=True)
 class SimulatedSession:
-    """A planned session: what is written as JSON, the truth, and the images to render."""
+    """A planned session: what is written as JSON, times of its poses, int64, as whoever reads that gets them, the
+    truth, and the images to render."""
 
     frames: SessionFrames
+    t_ns: NDArray[np.int64]
     truth: Truth
     shots: list[Shot]
-
-    @property
-    def t_ns(self) -> Vec:
-        """Times of the poses, int64, as whoever reads the JSON gets them."""
-        return np.array([round(t * 1e9) for t in self.frames.time_s], np.int64)
 
 
 def outline(settings: SimulateSettings, scene: str, seed: int) -> list[SessionOutline]:
@@ -154,7 +152,7 @@ def plan_session(
         )
         for i in frames.image_indices
     ]
-    return SimulatedSession(frames, truth, shots)
+    return SimulatedSession(frames, t_ns, truth, shots)
 
 
 def _frame_times(count: int, rate_hz: float, rng: np.random.Generator) -> Vec:

@@ -1,5 +1,5 @@
-"""What a test knows and types don't say: that a value is there, that a file is a picture, what a table's cells are; and
-tables of any schema."""
+"""What a test knows and types don't say: that a value is there, that a file is a picture, what a table's cells are;
+tables of any schema, and those of a run of profile tiny."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -9,8 +9,11 @@ import cv2
 import pandas as pd
 from numpy.typing import NDArray
 
+from groundwalk.store.files import write_json
+from groundwalk.store.manifests import load_manifest, output_hashes
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import pose_prefixes
+from groundwalk.store.settings import DataRoot
+from groundwalk.store.tables import pose_prefixes, read_table, write_table
 
 T = TypeVar("T")
 _PLAIN = {"float64": 0.0, "int64": 0, "bool": False, "string": "", "list<float64>": [], "list<string>": []}
@@ -49,3 +52,23 @@ def filled(stage: str, table: str, count: int, **columns: Any) -> pd.DataFrame:
     }
     values |= {f"{prefix}_qw": [1.0] * count for prefix in pose_prefixes(of)}
     return pd.DataFrame(values, dtype=object).assign(**columns)
+
+
+def table_of(data: DataRoot, scene: str, stage: str, table: str) -> pd.DataFrame:
+    return read_table(data.run("tiny", scene, stage) / f"{table}.parquet", schema(stage, table))
+
+
+def put(data: DataRoot, scene: str, stage: str, table: str, content: pd.DataFrame) -> None:
+    """Write a table where its stage would have, whatever the manifest says of it."""
+    write_table(data.run("tiny", scene, stage) / f"{table}.parquet", content, schema(stage, table))
+
+
+def rewrite(data: DataRoot, scene: str, stage: str, table: str, content: pd.DataFrame) -> None:
+    """Put another content into a table, as its stage would have written it."""
+    put(data, scene, stage, table, content)
+    note_outputs(data.run("tiny", scene, stage))
+
+
+def note_outputs(folder: Path, **more: object) -> None:
+    """Have a manifest say that the stage wrote what is there now, and more."""
+    write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)} | more)

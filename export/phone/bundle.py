@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from groundwalk.export.phone.coreml import PACKAGE, write_coreml
-from groundwalk.export.phone.golden import Network, write_golden
+from groundwalk.export.phone.golden import write_golden
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.phone.networks import write_onnx
 from groundwalk.export.phone.quantisation import HeldOut, Quantised, write_int8
 from groundwalk.export.phone.readme import readme
 from groundwalk.export.regressor import TrainedRegressor
 from groundwalk.geometry.poses import quaternion_from_matrix, rotation_angle
-from groundwalk.runtime.bundle import matrix_of, onnx_session
+from groundwalk.runtime.bundle import matrix_of, network_of
 from groundwalk.runtime.bundle_file import ERRORS, FRAME, PREPROCESSING, write_manifest
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
 from groundwalk.store import UserError, progress
@@ -52,7 +52,7 @@ def write_bundle(regressor: TrainedRegressor, folder: Path) -> list[str]:
     if errors:
         write_json(folder / ERRORS, errors)
     median = errors.get("position_median_m", 0.0), errors.get("rotation_median_deg", 0.0)
-    write_golden(inputs, folder, {name: _network(file) for name, file in networks.items()}, median)
+    write_golden(inputs, folder, {name: network_of(file, 1) for name, file in networks.items()}, median)
     notes = _notes(quantised, coreml)
     about = {
         "model": regressor.model,
@@ -88,7 +88,7 @@ def frame_of(regressor: TrainedRegressor) -> dict[str, Any]:
 
 def _check_as_trained(inputs: PhoneInputs, fp32: Path) -> None:
     """UserError where the network, given frames as training was, doesn't predict what training's tables have."""
-    run, regressor = _network(fp32), inputs.regressor
+    run, regressor = network_of(fp32, 1), inputs.regressor
     for row in inputs.spread("train", 2):
         made, before = run(inputs.tensor_as_trained(row)), regressor.predicted[row]
         rotation = inputs.preprocessing.camera_rotation(matrix_of(made["quaternion"][0]), inputs.query(row).gravity)
@@ -102,12 +102,6 @@ def _check_as_trained(inputs: PhoneInputs, fp32: Path) -> None:
                 found=f"{metres:.3f} m and {degrees:.2f} degrees",
                 do="run the stage train again; where it stays so, the network doesn't export faithfully",
             )
-
-
-def _network(file: Path) -> Network:
-    session = onnx_session(file, 1)
-    names = [output.name for output in session.get_outputs()]
-    return lambda tensor: dict(zip(names, session.run(None, {"image": tensor}), strict=True))
 
 
 def _errors(regressor: TrainedRegressor) -> dict[str, Any]:

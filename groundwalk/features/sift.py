@@ -81,7 +81,10 @@ def _features(keypoints: Sequence[cv2.KeyPoint], scale: NDArray[np.float64], row
         rows = np.zeros((0, DESCRIPTOR_SIZE))
     px = (np.array([k.pt for k in keypoints]).reshape(-1, 2) + 0.5) * scale
     size = np.array([k.size for k in keypoints]) * scale.mean()
-    return Features(px.astype(np.float32), size.astype(np.float32), _root_sift(np.asarray(rows, np.float32)))
+    # RootSIFT descriptors (K, 128) of length 512 in bytes
+    sift = np.asarray(rows, np.float32)
+    rooted = np.rint(_LENGTH * np.sqrt(sift / np.maximum(sift.sum(axis=1, keepdims=True), 1e-9)))
+    return Features(px.astype(np.float32), size.astype(np.float32), np.minimum(rooted, 255).astype(np.uint8))
 
 
 def shrunk(grey: NDArray[np.uint8], max_side: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
@@ -93,9 +96,3 @@ def shrunk(grey: NDArray[np.uint8], max_side: int) -> tuple[NDArray[np.uint8], N
         width, height = (round(side * factor) for side in (grey.shape[1], grey.shape[0]))
         small = np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
     return small, np.array([grey.shape[1] / small.shape[1], grey.shape[0] / small.shape[0]])
-
-
-def _root_sift(sift_K128: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """RootSIFT descriptors (K, 128) of length 512 in bytes."""
-    sums = np.maximum(sift_K128.sum(axis=1, keepdims=True), 1e-9)
-    return np.minimum(np.rint(_LENGTH * np.sqrt(sift_K128 / sums)), 255).astype(np.uint8)

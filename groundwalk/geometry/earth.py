@@ -101,7 +101,7 @@ def fit_earth(
     found, robust = fit_robust(fit, in_sigmas, len(rows), floor=_FLOOR)
     middle = np.average(b, axis=0, weights=robust)
     apart_s = np.abs(t_s[rows, None] - t_s[rows])
-    alike = np.exp(-apart_s / _CORRELATION_S) * (walk[rows, None] == walk[rows])
+    correlation = np.exp(-apart_s / _CORRELATION_S) * (walk[rows, None] == walk[rows])
     covariance = np.zeros((7, 7))
     jacobian = similarity_jacobian(found, b, middle)[0][:, :, free] * inverse_sd[..., None]
     weighted = robust[:, None, None] * jacobian
@@ -109,7 +109,7 @@ def fit_earth(
         inverse = np.linalg.inv(np.einsum("nai,naj->ij", weighted, jacobian))
     except np.linalg.LinAlgError:
         raise GeometryError("the fixes, or the map's points, are in one place or on a line") from None
-    spread = np.einsum("nai,nm,maj->ij", weighted, alike, weighted, optimize=True)
+    spread = np.einsum("nai,nm,maj->ij", weighted, correlation, weighted, optimize=True)
     excess = max(1.0, float(robust @ in_sigmas(found) ** 2 / (robust @ known.sum(axis=1))))
     covariance[np.ix_(free, free)] = excess * inverse @ spread @ inverse
     if vertical_sd is not None:

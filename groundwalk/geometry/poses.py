@@ -46,13 +46,9 @@ def canonical_quaternion(quaternion: ArrayLike) -> Array:
     # +0.0 turns -0.0 into 0.0, so that equal rotations are equal bytes.
     significant = q[..., 3:4]
     if not significant.all():
-        significant = np.where(significant != 0, significant, _first_nonzero(q[..., :3]))
+        first = np.argmax(q[..., :3] != 0, axis=-1)[..., None]
+        significant = np.where(significant != 0, significant, np.take_along_axis(q[..., :3], first, axis=-1))
     return np.where(significant < 0, -q, q) + 0.0
-
-
-def _first_nonzero(v: Array) -> Array:
-    index = np.argmax(v != 0, axis=-1)
-    return np.take_along_axis(v, index[..., None], axis=-1)
 
 
 def quaternion_from_matrix(rotation: ArrayLike) -> Array:

@@ -166,7 +166,8 @@ def measure(
     residual = np.full((len(usable), 2), np.nan)
     residual[usable] = _linearise(observations.where(usable), model_T_cam, xyz).residual
     frames = np.unique(used.frame)
-    centre = np.nanmean(xyz, axis=0)
+    rays = model_T_cam[frames, :3, 3] - np.nanmean(xyz, axis=0)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     return RulerFit(
         float(np.log(scale)),
         sd,
@@ -175,7 +176,7 @@ def measure(
         residual,
         inlier,
         frames,
-        _max_angle(model_T_cam[frames, :3, 3] - centre),
+        float(np.arccos(np.clip(rays @ rays.T, -1, 1)).max()),
         pixel_sd,
         _is_seen_from_behind(corners, fitted, model_T_cam[frames, :3, 3]),
         _flatness(corners, xyz),
@@ -208,7 +209,14 @@ def _inliers(observations: Observations, model_T_cam: Array, count: int, min_pix
     usable = in_two_frames(observations, count)
     robust = np.zeros(len(usable))
     if usable.any():
-        robust[usable] = _robust_weights(observations.where(usable), model_T_cam, count, min_pixel_sd)
+        seen = observations.where(usable)
+        _, robust[usable] = fit_robust(
+            lambda weights: triangulate(seen, model_T_cam, count, weights),
+            lambda xyz: np.linalg.norm(_linearise(seen, model_T_cam, xyz).residual, axis=1),
+            len(seen.corner),
+            floor=2 * min_pixel_sd,
+            tolerance=_IRLS_TOLERANCE,
+        )
     inlier = usable & (robust >= _INLIER_WEIGHT)
     inlier[inlier] = in_two_frames(observations.where(inlier), count)
     return usable, inlier
@@ -241,18 +249,6 @@ def _linearise(observations: Observations, model_T_cam: Array, xyz: Array) -> _L
     # The camera truly is at exp(rotation) R, t + position: what is observed differs by the opposite of this.
     by_pose = np.concatenate([-by_corner @ skew(arm), by_corner], axis=2)
     return _Linearization(residual, by_corner, by_pose)
-
-
-def _robust_weights(used: Observations, model_T_cam: Array, count: int, min_pixel_sd: float) -> Array:
-    def residuals(xyz: Array) -> Array:
-        return np.asarray(np.linalg.norm(_linearise(used, model_T_cam, xyz).residual, axis=1))
-
-    def fit(weights: Array) -> Array:
-        return triangulate(used, model_T_cam, count, weights)
-
-    floor = 2 * min_pixel_sd
-    _, weights = fit_robust(fit, residuals, len(used.corner), floor=floor, tolerance=_IRLS_TOLERANCE)
-    return weights
 
 
 def _in_parts_with_two(corners: Corners, corner: Indices) -> Mask:
@@ -322,11 +318,6 @@ def _scale_sd(
     by_frame = np.bincount(used.frame, np.sum(influence * at.residual, axis=1))
     scatter = np.sum(by_frame**2) * frames / (frames - 1)
     return float(np.sqrt(max(propagated, scatter)))
-
-
-def _max_angle(rays: Array) -> float:
-    unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return float(np.arccos(np.clip(unit @ unit.T, -1, 1)).max())
 
 
 def _is_seen_from_behind(corners: Corners, fitted: Array, centres: Array) -> bool:

@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -70,8 +70,7 @@ class Bundle:
                 f"a bundle has no network {self.network!r}", where=folder, expected=f"one of {', '.join(networks)}"
             )
         self.preprocessing = Preprocessing.parsed(read_part(folder, PREPROCESSING), folder / PREPROCESSING)
-        self._session = onnx_session(folder / networks[self.network]["file"], threads)
-        self._outputs = [output.name for output in self._session.get_outputs()]
+        self._answers = network_of(folder / networks[self.network]["file"], threads)
 
     def __repr__(self) -> str:
         m = self.manifest
@@ -109,7 +108,7 @@ class Bundle:
         start = time.perf_counter()
         *_, (_, tensor) = self.preprocessing.run(query)
         prepared = time.perf_counter()
-        outputs = self.outputs(tensor)
+        outputs = self._answers(tensor)
         seconds = {"preprocessing": prepared - start, "network": time.perf_counter() - prepared}
         position = outputs["position"][0].astype(float)
         rotation = self.preprocessing.camera_rotation(matrix_of(outputs["quaternion"][0]), query.gravity)
@@ -118,10 +117,6 @@ class Bundle:
         map_T_cam = np.eye(4)
         map_T_cam[:3, :3], map_T_cam[:3, 3] = rotation, position
         return Prediction(map_T_cam, position, _quaternion(rotation), scene, covariance, seconds)
-
-    def outputs(self, tensor: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
-        """The network's outputs for its input (1, 3, H, W) by name."""
-        return dict(zip(self._outputs, self._session.run(None, {"image": tensor}), strict=True))
 
     def verify(self) -> int:
         """Ask the golden queries; how many there are. UserError where a step of the preprocessing or the network gives
@@ -140,7 +135,7 @@ class Bundle:
             difference = float(np.abs(made.astype(float) - tensor).mean()) if made.shape == tensor.shape else np.inf
             if difference > tolerances["steps"][name]:
                 raise _not_golden(f"step {name}", where, tolerances["steps"][name], difference, "mean difference")
-        outputs = self.outputs(tensor)
+        outputs = self._answers(tensor)
         expected = golden["outputs"][self.network]
         limits = tolerances["networks"][self.network]
         metres = float(np.linalg.norm(outputs["position"][0] - expected["position"]))
@@ -171,6 +166,13 @@ def onnx_session(file: Path, threads: int | None) -> Any:
         raise UserError(
             "ONNX Runtime can't load a bundle's network", where=file, found=error, do="update onnxruntime"
         ) from None
+
+
+def network_of(file: Path, threads: int | None) -> Callable[[NDArray[np.float32]], dict[str, NDArray[Any]]]:
+    """What gives a network's outputs by name for its input (1, 3, H, W); raises as `onnx_session`."""
+    session = onnx_session(file, threads)
+    names = [output.name for output in session.get_outputs()]
+    return lambda tensor: dict(zip(names, session.run(None, {"image": tensor}), strict=True))
 
 
 def matrix_of(quaternion: ArrayLike) -> Array:

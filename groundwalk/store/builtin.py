@@ -1,8 +1,14 @@
 """The entries that groundwalk brings itself, group by group, in the order in which they are listed, tried and shown.
 
-Each line is an entry point, name = "module:record". They stand here and not in pyproject.toml because an entry point's
+Each is an entry point, name = "module:record". They stand here and not in pyproject.toml because an entry point's
 metadata is written when a package is installed, sorted by name: docs/explanation/decisions.md.
 """
+
+
+def _records(module: str, *names: str) -> dict[str, str]:
+    """Entries whose records in a module of groundwalk have their names, as constants are written: MS_T of MS-T."""
+    return {name: f"groundwalk.{module}:{name.upper().replace('-', '_')}" for name in names}
+
 
 _FORMATS_ELSEWHERE = {
     "3d_scanner_app": "scanner_app:FORMAT",
@@ -38,41 +44,16 @@ BUILTIN: dict[str, dict[str, str]] = {
             "video",
         )
     },
-    "groundwalk.mappers": {
-        "incremental": "groundwalk.sfm.plugins:INCREMENTAL",
-        "global": "groundwalk.sfm.plugins:GLOBAL",
-        "hierarchical": "groundwalk.sfm.plugins:HIERARCHICAL",
-    },
-    "groundwalk.structure_localisers": {
-        "Map": "groundwalk.localisation.entries:MAP",
-        "HLoc": "groundwalk.localisation.entries:HLOC",
-        "HLoc-XFeat": "groundwalk.localisation.entries:HLOC_XFEAT",
-    },
-    "groundwalk.regressors": {
-        "PN": "groundwalk.training.entries:PN",
-        "MS-T": "groundwalk.training.entries:MS_T",
-        "PN-Lite": "groundwalk.training.entries:PN_LITE",
-    },
+    "groundwalk.mappers": _records("sfm.plugins", "incremental", "global", "hierarchical"),
+    "groundwalk.structure_localisers": _records("localisation.entries", "Map", "HLoc", "HLoc-XFeat"),
+    "groundwalk.regressors": _records("training.entries", "PN", "MS-T", "PN-Lite"),
     "groundwalk.fusion_methods": {
-        "raw": "groundwalk.fusion.methods.entries:RAW",
-        "paper_rule": "groundwalk.fusion.methods.entries:PAPER_RULE",
-        "last_good": "groundwalk.fusion.methods.entries:LAST_GOOD",
-        "window30": "groundwalk.fusion.methods.entries:WINDOW30",
-        "pose_graph": "groundwalk.fusion.methods.entries:POSE_GRAPH",
-        "error_state": "groundwalk.fusion.methods.entries:ERROR_STATE",
-        "drift_aware": "groundwalk.fusion.methods.entries:DRIFT_AWARE",
-        "smoother": "groundwalk.fusion.methods.entries:SMOOTHER",
-        "vio_oracle": "groundwalk.fusion.methods.entries:VIO_ORACLE",
+        **_records("fusion.methods.entries", "raw", "paper_rule", "last_good", "window30", "pose_graph", "error_state"),
+        **_records("fusion.methods.entries", "drift_aware", "smoother", "vio_oracle"),
     },
     "groundwalk.exporters": {
-        "colmap": "groundwalk.export.entries:COLMAP",
-        "colmap-text": "groundwalk.export.entries:COLMAP_TEXT",
-        "tum": "groundwalk.export.entries:TUM",
-        "nerfstudio": "groundwalk.export.entries:NERFSTUDIO",
+        **_records("export.entries", "colmap", "colmap-text", "tum", "nerfstudio"),
         "7scenes": "groundwalk.export.entries:SEVEN_SCENES",
-        "cambridge": "groundwalk.export.entries:CAMBRIDGE",
-        "hloc": "groundwalk.export.entries:HLOC",
-        "kapture": "groundwalk.export.entries:KAPTURE",
-        "huggingface": "groundwalk.export.entries:HUGGINGFACE",
+        **_records("export.entries", "cambridge", "hloc", "kapture", "huggingface"),
     },
 }

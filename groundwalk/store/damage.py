@@ -54,7 +54,7 @@ def as_user_error(error: BaseException, work: Path | None = None) -> UserError |
             return UserError("the memory is used up", where=work, found=str(cause) or None, do=do)
     if work is not None and isinstance(error, RuntimeError | ProcessDied | OSError) and (number := _probe(work)):
         text = str(error).split("\n")[0][:200]
-        return UserError(_words(number), where=work, found=f"{_free(work)}; {text}", do=_DO.get(number))
+        return UserError(os.strerror(number).lower(), where=work, found=f"{_free(work)}; {text}", do=_DO.get(number))
     return None
 
 
@@ -64,13 +64,8 @@ def sentence(error: OSError, work: Path | None = None) -> UserError:
     name = error.filename if error.filename2 is None else error.filename2
     where = Path(os.fsdecode(name)) if isinstance(name, str | bytes) else work
     room = _free(where) if error.errno in _OF_SPACE else None
-    number = error.errno or 0
-    return UserError(_words(number), where=where, found=room, do=_DO.get(number))
-
-
-def _words(number: int) -> str:
-    """The system's own words, which can be searched for."""
-    return os.strerror(number).lower()
+    number = error.errno or 0  # the system's own words for it can be searched for
+    return UserError(os.strerror(number).lower(), where=where, found=room, do=_DO.get(number))
 
 
 def may_be_damage(error: Exception) -> bool:

@@ -29,7 +29,7 @@ stdout = TextConsole(highlight=False, soft_wrap=True)
 
 
 class Reporter:
-    """One task's progress: `advance` or `update` it; closes with a `with` block.
+    """One task's progress: `update` it; closes with a `with` block.
 
     On a terminal it's a bar with the time left; elsewhere a line every ten seconds.
     """
@@ -51,12 +51,8 @@ class Reporter:
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def advance(self, by: int = 1, text: str | None = None) -> None:
-        """Count `by` more items as done; `text` replaces the description."""
-        self.update(self.done + by, text)
-
     def update(self, done: int, text: str | None = None) -> None:
-        """Set the number of items that are done."""
+        """Set the number of items that are done; `text` replaces the description."""
         self.done = done
         self.text = printable(text or self.text)
         if not self._bar.disable:
@@ -84,9 +80,9 @@ def track(items: Iterable[T], text: str, total: int | None = None) -> Iterator[T
     if total is None and hasattr(items, "__len__"):
         total = len(items)  # type: ignore[arg-type]
     with Reporter(text, total) as reporter:
-        for item in items:
+        for done, item in enumerate(items, start=1):
             yield item
-            reporter.advance()
+            reporter.update(done)
 
 
 def format_seconds(seconds: float) -> str:

@@ -15,8 +15,7 @@ def build(seed: int) -> Place:
     """The place; streets run around the block in the middle."""
     b = Builder("Bar", EXTENT_M, 14.0, Light(0.68, (0.3, 0.7, -0.6), 0.5), seed)
     b.floor("ground", (-29.5, -19.5), (29.5, 19.5), 0, _ground)
-    _outer(b)
-    _block(b)
+    _houses(b)
     _terraces(b)
     for k, at in enumerate(((-20.5, -13), (-22.5, 12.6), (21.5, -12.8), (22.4, 12.4), (24.3, 1), (-24.4, -2))):
         b.tree(f"tree{k}", at, b.rng.uniform(5, 6.8))
@@ -72,11 +71,11 @@ def _facades() -> dict[str, Facade]:
     }
 
 
-def _outer(b: Builder) -> None:
+def _houses(b: Builder) -> None:
     f = _facades()
 
-    def row(name: str, left: Xz, right: Xz, kinds: str, widths: list[float]) -> None:
-        parts.row_of_houses(b, name, left, right, [f[k] for k in kinds.split()], widths)
+    def row(name: str, left: Xz, right: Xz, kinds: str, widths: list[float], setback_m: float = 0.6) -> None:
+        parts.row_of_houses(b, name, left, right, [f[k] for k in kinds.split()], widths, setback_m)
 
     kinds = "pub flats tapas yellow metal cafe rubble wood"
     row("north", (-27.5, -17.5), (27.5, -17.5), kinds, [7, 8, 7, 6, 7, 7, 6, 7])
@@ -84,20 +83,12 @@ def _outer(b: Builder) -> None:
     row("south", (27.5, 17.5), (-27.5, 17.5), kinds, [7, 7, 5, 8, 7, 8, 6, 7])
     row("east", (27.5, -17.5), (27.5, 17.5), "metal rose pub stone rubble", [7, 7, 7, 7, 7])
     row("west", (-27.5, 17.5), (-27.5, -17.5), "cafe brick wood rubble yellow", [7, 8, 6, 7, 7])
-
-
-def _block(b: Builder) -> None:
-    f = _facades()
+    # The block's fronts look outward, so left and right are as seen from the street.
     w, d = _BLOCK
-
-    def row(name: str, left: Xz, right: Xz, kinds: str, widths: list[float]) -> None:
-        # Fronts outward, so left and right are as seen from the street.
-        parts.row_of_houses(b, name, left, right, [f[k] for k in kinds.split()], widths, 0.0)
-
-    row("inner.south", (-w, d), (w, d), "tapas pub cafe", [7, 8, 7])
-    row("inner.north", (w, -d), (-w, -d), "brick club stone", [7, 8, 7])
-    row("inner.east", (w, d), (w, -d), "yellow", [9])
-    row("inner.west", (-w, -d), (-w, d), "rose", [9])
+    row("inner.south", (-w, d), (w, d), "tapas pub cafe", [7, 8, 7], 0.0)
+    row("inner.north", (w, -d), (-w, -d), "brick club stone", [7, 8, 7], 0.0)
+    row("inner.east", (w, d), (w, -d), "yellow", [9], 0.0)
+    row("inner.west", (-w, -d), (-w, d), "rose", [9], 0.0)
 
 
 def _terraces(b: Builder) -> None:

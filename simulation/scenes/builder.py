@@ -118,7 +118,7 @@ class Builder:
         )
 
     def tree(self, name: str, centre: Xz, height: float = 6.0, bottom: float = 0.0, spread: float = 1.6) -> None:
-        """A trunk and a crown of several blobs of leaves, which begins well above heads."""
+        """A trunk and a crown of several balls of leaves, which begins well above heads."""
         trunk = max(2.6, 0.45 * height)
         bark = wood((58, 74, 92), 0.07)
         self.column(f"{name}.trunk", centre, 0.16 + 0.01 * height, trunk, bark, bottom, sides=7)
@@ -128,16 +128,16 @@ class Builder:
             middle = np.array([centre[0], bottom + trunk + 0.3 * (height - trunk) + 0.4, centre[1]]) + offset
             radius = self.rng.uniform(0.55, 0.8) * spread
             middle[1] = max(middle[1], bottom + 2.35 + radius * 0.85)
-            self._blob(f"{name}.crown{k}", middle, radius, foliage(tone))
+            self._add_crown(f"{name}.crown{k}", middle, radius, foliage(tone))
 
     def bush(self, name: str, centre: Xz, radius: float, bottom: float = 0.0) -> None:
         """A round shrub."""
         tone = (self.rng.uniform(30, 60), self.rng.uniform(80, 120), self.rng.uniform(45, 95))
-        self._blob(name, np.array([centre[0], bottom + 0.6 * radius, centre[1]]), radius, foliage(tone))
+        self._add_crown(name, np.array([centre[0], bottom + 0.6 * radius, centre[1]]), radius, foliage(tone))
         low = (centre[0] - radius, bottom, centre[1] - radius)
         self.block(low, (centre[0] + radius, bottom + 1.6 * radius, centre[1] + radius))
 
-    def _blob(self, name: str, centre: Vec, radius: float, paint: Material) -> None:
+    def _add_crown(self, name: str, centre: Vec, radius: float, paint: Material) -> None:
         vertices, faces = _icosphere(2)
         bumps = 1 + 0.13 * self.rng.standard_normal(len(vertices))
         shape = centre + vertices * (radius * bumps)[:, None] * [1, 0.85, 1]

@@ -200,13 +200,7 @@ def _dress(b: Builder, front: _Front, facade: Facade) -> None:
 
 
 def _awning(b: Builder, front: _Front, facade: Facade) -> None:
-    tone, other = details.bright(b.rng), (230.0, 232.0, 234.0)
-
-    def striped(canvas: Canvas) -> None:
-        for k in range(int(canvas.width_m / 0.3) + 1):
-            canvas.box(0.3 * k, 0, 0.3 * k + 0.3, canvas.height_m, tone if k % 2 else other)
-        canvas.add(canvas.noise((0.05, 0.3, 1.0)), (8, 8, 8))
-
+    cloth = materials.stripes((230, 232, 234), details.bright(b.rng), 0.3)
     corner, high = front.at(0.3, 1.1), facade.storey_m - 0.75
     run, out = (front.width_m - 0.6) * front.along, front.out
     b.quad(
@@ -214,7 +208,7 @@ def _awning(b: Builder, front: _Front, facade: Facade) -> None:
         (corner[0], high, corner[1]),
         (run[0], 0, run[1]),
         (-1.1 * out[0], 0.4, -1.1 * out[1]),
-        striped,
+        cloth,
     )
 
 

@@ -104,12 +104,7 @@ def _fountain(b: Builder) -> None:
 
 def _market(b: Builder) -> None:
     for k, (x, z, yaw) in enumerate(((-3.5, -6.0 + 2.2, 8), (3.6, -4.0, -12), (5.6, 3.6, 20), (-4.8, 4.2, -24))):
-        tone, other = details.bright(b.rng), (228.0, 232.0, 236.0)
-
-        def cloth(c: Canvas, tone: tuple[float, float, float] = tone, other: tuple[float, ...] = other) -> None:
-            for i in range(int(c.width_m / 0.25) + 1):
-                c.box(0.25 * i, 0, 0.25 * i + 0.25, c.height_m, tone if i % 2 else other)  # type: ignore[arg-type]
-            c.add(c.noise((0.05, 0.3, 1.0)), (8, 8, 8))
+        cloth = materials.stripes((228, 232, 236), details.bright(b.rng), 0.25)
 
         def goods(c: Canvas) -> None:
             materials.wood((70, 100, 130), 0.1)(c)

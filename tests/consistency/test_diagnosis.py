@@ -3,11 +3,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from groundwalk.consistency.diagnosis import MAX_ALIASED_FRACTION, diagnose
-from groundwalk.consistency.trajectories import TrajectoryPair
-from groundwalk.consistency.vio_drift import VioDrift
-from groundwalk.geometry.poses import Array, make_pose, path_length
-
-DRIFT = VioDrift.in_degrees(0.1, 0.03, 3.0, 2.5)
+from groundwalk.geometry.poses import Array, make_pose
+from tests.consistency.test_vio_agreement import DRIFT, pair
 
 
 def walked(heading: Array, step_m: float) -> Array:
@@ -17,19 +14,15 @@ def walked(heading: Array, step_m: float) -> Array:
     return make_pose(Rotation.from_rotvec(heading[:, None] * [0.0, 1.0, 0.0]).as_matrix(), positions)
 
 
-def pair(sfm_T_cam: Array, vio_T_cam: Array) -> TrajectoryPair:
-    return TrajectoryPair(sfm_T_cam, vio_T_cam, path_length(vio_T_cam[:, :3, 3]))
-
-
 @pytest.mark.parametrize("strayed_deg", [0.0, 15.0, -25.0])
-def test_a_way_there_and_back_on_which_the_heading_strays_is_not_folded(strayed_deg: float) -> None:
+def test_a_way_there_and_back_on_which_the_heading_strays_is_not_aliased(strayed_deg: float) -> None:
     # 45 m each: VIO comes back many metres beside itself, which is what a heading may do over such a way.
     heading = np.pi * np.clip(np.linspace(-45, 46, 92) / 2, 0, 1)
     strayed = np.radians(strayed_deg) * np.linspace(0, 1, 92)
     assert diagnose([pair(walked(heading, 1.0), walked(heading + strayed, 1.0))], DRIFT).aliased_fraction == 0
 
 
-def test_two_look_alike_rooms_in_one_place_are_folded() -> None:
+def test_two_look_alike_rooms_in_one_place_are_aliased() -> None:
     # Along a corridor, with two looks into rooms 20 m apart that the model has in one place.
     vio = walked(np.zeros(60), 0.5)
     sfm = vio.copy()

@@ -34,10 +34,9 @@ from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.cleaning import clean_scene
 from groundwalk.store.files import sha256_of, write_json
 from groundwalk.store.georeference import FILE, Georeference
-from groundwalk.store.manifests import output_hashes
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import pose_frame, poses_of, read_table, with_cameras, write_table
-from tests.known import cell, cells, read_picture, rows, there
+from groundwalk.store.manifests import load_manifest
+from groundwalk.store.tables import pose_frame, poses_of, with_cameras
+from tests.known import cell, cells, note_outputs, put, read_picture, rewrite, rows, table_of, there
 
 UNREGISTERED, VALIDATION, TESTED = "walk0/000003", range(5, 8), range(15, 20)
 FRAMES = 39
@@ -54,8 +53,7 @@ def scene(aligned: DataRoot, tmp_path: Path) -> DataRoot:
 def aligned(data_of_module: DataRoot) -> DataRoot:
     """Two aligned walks with images, SfM's model, one frame without ground truth, and a walk with all three splits."""
     data = data_of_module
-    folders = {stage: data.run("tiny", "Place", stage) for stage in ("import", "sfm")}
-    frames = read_table(folders["import"] / "frames.parquet", schema("import", "frames"))
+    frames = table_of(data, "Place", "import", "frames")
     frames["image"] = [f"{frame_id}.jpg" for frame_id in frames["frame_id"]]
     frames["fx"] += np.arange(len(frames))
     frames.loc[VALIDATION, "split"] = "val"
@@ -65,14 +63,14 @@ def aligned(data_of_module: DataRoot) -> DataRoot:
         path.parent.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(path), np.full((12, 16, 3), 4 * row, np.uint8))
     frames["image_sha256"] = [sha256_of(path) for path in paths]
-    write_table(folders["import"] / "frames.parquet", frames, schema("import", "frames"))
-    images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
+    put(data, "Place", "import", "frames", frames)
+    images = table_of(data, "Place", "sfm", "images")
     images.loc[images["frame_id"] == UNREGISTERED, "registered"] = False
     # SfM found other focal lengths for one walk.
     scale = np.where(images["frame_id"].str.startswith("walk1/"), 1.01, 1.0)
     images["fx"], images["fy"] = frames["fx"] * scale, frames["fy"] * scale
     images["distortion"] = [[0.0] * 4] * len(images)
-    write_table(folders["sfm"] / "images.parquet", images, schema("sfm", "images"))
+    put(data, "Place", "sfm", "images", images)
     _write_models(data, {"model": "incremental/0"})
     execute(STAGE, "Place", "tiny", data)
     return data
@@ -80,8 +78,8 @@ def aligned(data_of_module: DataRoot) -> DataRoot:
 
 def _write_models(data: DataRoot, model_ids: dict[str, str]) -> None:
     """SfM's models of the frames that have their ids, each in its folder, and the table that says so."""
-    images, folder = _images(data), data.run("tiny", "Place", "sfm")
-    frames = with_cameras(_frames(data), images)
+    images, folder = table_of(data, "Place", "sfm", "images"), data.run("tiny", "Place", "sfm")
+    frames = with_cameras(table_of(data, "Place", "import", "frames"), images)
     for name, model_id in model_ids.items():
         (folder / name).mkdir(exist_ok=True)
         rows = np.flatnonzero(images["model_id"] == model_id)
@@ -91,15 +89,7 @@ def _write_models(data: DataRoot, model_ids: dict[str, str]) -> None:
         mapping="incremental", selected=True, images=20, points=19, observations=38, held_out_matches=0
     )
     models[["mean_track_length", "mean_reprojection_px", "held_out_px", "fitted_px"]] = 0.5
-    write_table(folder / "models.parquet", models, schema("sfm", "models"))
-
-
-def _frames(data: DataRoot) -> pd.DataFrame:
-    return read_table(data.run("tiny", "Place", "import") / "frames.parquet", schema("import", "frames"))
-
-
-def _images(data: DataRoot) -> pd.DataFrame:
-    return read_table(data.run("tiny", "Place", "sfm") / "images.parquet", schema("sfm", "images"))
+    put(data, "Place", "sfm", "models", models)
 
 
 def _model(frames: pd.DataFrame, sfm_T_cam: Array) -> pycolmap.Reconstruction:
@@ -130,7 +120,7 @@ def _export(scene: DataRoot, name: str, *options: str) -> Path:
 
 def _truth(scene: DataRoot) -> pd.DataFrame:
     """Ground truth by frame_id."""
-    gt = read_table(scene.run("tiny", "Place", "align") / "ground_truth.parquet", schema("align", "ground_truth"))
+    gt = table_of(scene, "Place", "align", "ground_truth")
     return gt[gt["quality"] != "none"].set_index("frame_id")
 
 
@@ -174,14 +164,14 @@ def test_colmap_reads_its_model_in_the_map(scene: DataRoot, name: str) -> None:
 
 def test_colmap_reads_two_models_in_one_map(scene: DataRoot) -> None:
     """Two of equal size, each with half of both walks: SfM's order and align's need not be the same."""
-    images = _images(scene)
+    images = table_of(scene, "Place", "sfm", "images")
     late = (np.arange(len(images)) % 20 >= 10) & images["registered"].to_numpy(bool)
     images.loc[late, "model_id"] = "incremental/1"
     sfm_T_cam = poses_of(images, "sfm_cam")
     other = Sim3(2.1, make_pose(np.eye(3)[[1, 2, 0]], np.zeros(3))[:3, :3], np.array([-4.0, 9.0, 2.0]))
     sfm_T_cam[late] = other.poses(sfm_T_cam[late])
     images[pose_frame("sfm_cam", sfm_T_cam).columns] = pose_frame("sfm_cam", sfm_T_cam)
-    write_table(scene.run("tiny", "Place", "sfm") / "images.parquet", images, schema("sfm", "images"))
+    put(scene, "Place", "sfm", "images", images)
     _write_models(scene, {"model": "incremental/0", "model_2": "incremental/1"})
     execute(STAGE, "Place", "tiny", scene, force=True)
     out = _export(scene, "colmap")
@@ -208,7 +198,8 @@ def _poses(model: pycolmap.Reconstruction, frame_of: dict[str, str]) -> dict[str
 def test_hloc_gets_a_reference_and_queries(scene: DataRoot) -> None:
     """Read as its parsers do: blanks between a name, a camera or a pose."""
     out = _export(scene, "hloc")
-    frame_of, truth, frames = _frame_of(out), _truth(scene), _frames(scene).set_index("frame_id")
+    frame_of, truth = _frame_of(out), _truth(scene)
+    frames = table_of(scene, "Place", "import", "frames").set_index("frame_id")
     split = frames["split"]
     reference = pycolmap.Reconstruction(out / "reference")
     found = _poses(reference, frame_of)
@@ -233,6 +224,7 @@ def test_kapture_is_two_data_sets_by_its_definition(scene: DataRoot) -> None:
     trajectories.txt under the same time and sensor."""
     out = _export(scene, "kapture")
     frame_of, truth, found = _frame_of(out), _truth(scene), dict[str, Array]()
+    sizes = table_of(scene, "Place", "import", "frames").set_index("frame_id")[["width", "height"]].astype(str)
     for part, splits in (("mapping", {"train", "val"}), ("query", {"test"})):
         tables = {}
         for name in ("sensors", "trajectories", "records_camera"):
@@ -246,10 +238,7 @@ def test_kapture_is_two_data_sets_by_its_definition(scene: DataRoot) -> None:
             row, (model, width, height, *params) = truth.loc[frame_id], sensors[device]
             assert row["split"] in splits and int(time) < 2**32
             assert (out / part / "sensors" / "records_data" / image).is_file()
-            assert (model, width, height) == (
-                "PINHOLE",
-                *_frames(scene).set_index("frame_id").loc[frame_id, ["width", "height"]].astype(str),
-            )
+            assert (model, width, height) == ("PINHOLE", *sizes.loc[frame_id])
             np.testing.assert_allclose(np.array(params, float), [row["fx"], row["fy"], row["cx"], row["cy"]], atol=1e-6)
             qw, qx, qy, qz, *translation = poses[time, device]
             found[frame_id] = inverse(pose_from_tq(np.array(translation), np.array([qx, qy, qz, qw])))
@@ -276,8 +265,7 @@ def test_where_on_earth_the_map_is_is_given_out_only_where_it_is_asked_for(scene
         worst_m=4.0, gives_scale=False,
     )  # fmt: skip
     place.write(align / FILE)
-    manifest = json.loads((align / "manifest.json").read_text())
-    write_json(align / "manifest.json", manifest | {"outputs": output_hashes(align)})
+    note_outputs(align)
     truth = _truth(scene)
     enu = place.enu_S_map.points(poses_of(truth, "map_cam")[:, :3, 3])
     for name in ("colmap", "nerfstudio", "huggingface"):
@@ -422,14 +410,12 @@ def test_our_importer_reads_what_other_tools_read(scene: DataRoot, name: str) ->
 def test_a_map_of_unknown_unit_and_vertical_is_exported_as_such(
     scene: DataRoot, scale_source: str, vertical_source: str, unit: str
 ) -> None:
-    path = scene.run("tiny", "Place", "align") / "ground_truth.parquet"
-    gt = read_table(path, schema("align", "ground_truth"))
+    gt, align = table_of(scene, "Place", "align", "ground_truth"), scene.run("tiny", "Place", "align")
     gt = gt.assign(scale_source=scale_source, vertical_source=vertical_source)
-    write_table(path, gt, schema("align", "ground_truth"))
-    manifest = json.loads((path.parent / "manifest.json").read_text())
+    put(scene, "Place", "align", "ground_truth", gt)
     origin = dict(zip("xyz", (4186460.0, 834910.0, 4723430.0), strict=True)) if scale_source != "none" else {}
-    figures = manifest["figures"] | {f"map_origin_{axis}": origin.get(axis) for axis in "xyz"}
-    write_json(path.parent / "manifest.json", manifest | {"outputs": output_hashes(path.parent), "figures": figures})
+    figures = load_manifest(align)["figures"] | {f"map_origin_{axis}": origin.get(axis) for axis in "xyz"}
+    note_outputs(align, figures=figures)
     out = _export(scene, "nerfstudio", "--images", "copy")
     note = json.loads((out / "export.json").read_text())
     assert note["map"].startswith(unit) and "up unknown" in note["map"]
@@ -455,9 +441,8 @@ def test_frames_without_ground_truth_are_left_out_and_listed(scene: DataRoot, na
 
 def test_support_frames_are_not_exported(scene: DataRoot) -> None:
     support = {"walk0/000007", "walk1/000011"}
-    path = scene.run("tiny", "Place", "import") / "frames.parquet"
-    frames = read_table(path, schema("import", "frames"))
-    write_table(path, frames.assign(support=frames["frame_id"].isin(support)), schema("import", "frames"))
+    frames = table_of(scene, "Place", "import", "frames")
+    put(scene, "Place", "import", "frames", frames.assign(support=frames["frame_id"].isin(support)))
     execute(STAGE, "Place", "tiny", scene, force=True)
     out = _export(scene, "colmap")
     listed = pd.read_csv(out / "frames.csv", keep_default_na=False)
@@ -539,8 +524,7 @@ SEEN, DEPTH_M = np.array([(-0.5, -0.36), (0.49, -0.35), (-0.47, 0.37), (0.5, 0.3
 
 def _give_lens(scene: DataRoot, lens: tuple[float, ...]) -> dict[str, Array]:
     """Every frame gets a camera with this lens, and an image with dots in it; returns their places in the map."""
-    path = scene.run("tiny", "Place", "align") / "ground_truth.parquet"
-    gt = read_table(path, schema("align", "ground_truth"))
+    gt = table_of(scene, "Place", "align", "ground_truth")
     gt = gt.assign(
         fx=230.0 + 0.1 * np.arange(len(gt)),
         fy=231.0,
@@ -548,9 +532,7 @@ def _give_lens(scene: DataRoot, lens: tuple[float, ...]) -> dict[str, Array]:
         cy=118.4,
         distortion=cells([list(lens)] * len(gt)),
     )
-    write_table(path, gt, schema("align", "ground_truth"))
-    manifest = json.loads(path.with_name("manifest.json").read_text())
-    path.with_name("manifest.json").write_text(json.dumps(manifest | {"outputs": output_hashes(path.parent)}))
+    rewrite(scene, "Place", "align", "ground_truth", gt)
     x, y = np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1])[:, None] + 0.5
     points = {}
     for frame_id, row in _truth(scene).iterrows():
@@ -565,9 +547,9 @@ def _give_lens(scene: DataRoot, lens: tuple[float, ...]) -> dict[str, Array]:
 
 def _write_frames(scene: DataRoot, **columns: int) -> None:
     """Import's frames with the images that are there now."""
-    frames = _frames(scene).assign(**columns)
+    frames = table_of(scene, "Place", "import", "frames").assign(**columns)
     frames["image_sha256"] = [sha256_of(_image(scene, frame_id)) for frame_id in frames["frame_id"]]
-    write_table(scene.run("tiny", "Place", "import") / "frames.parquet", frames, schema("import", "frames"))
+    put(scene, "Place", "import", "frames", frames)
 
 
 def _dots_off_px(image: Path, world_T_cam: Array, K: Array, points: Array) -> float:
@@ -636,8 +618,7 @@ def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:
     with pytest.raises(UserError, match="16 x 12"):
         _export(scene, "cambridge")
 
-    folder = scene.run("tiny", "Place", "sfm")
-    (folder / "manifest.json").write_text(json.dumps({"outputs": output_hashes(folder), "simulated": True}))
+    note_outputs(scene.run("tiny", "Place", "sfm"))
     with pytest.raises(UserError, match="another run of stage sfm"):
         _export(scene, "tum")
 

@@ -241,30 +241,23 @@ def test_what_there_is_not_is_said_before_anything_runs(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("", "scene place has no captures"),
         ("[align]\nmax_speed = 3", r"'max_speed'.*\[align\] of \S+place\.toml"),
         ("[fuse]\noptions.window30.frames = 3", r"'frames'.*window30.*\[fuse\] of \S+place\.toml"),
         ("[fuse]\nmethods = ['windw30']", r"no fusion method 'windw30'.*\[fuse\] of \S+place\.toml"),
         ("[train]\npredictions = 'mine.parquet'", r"can't be read.*mine\.parquet"),
     ],
 )
-def test_settings_of_all_stages_are_checked_before_the_first_runs(tmp_path: Path, text: str, message: str) -> None:
+def test_settings_of_all_stages_and_captures_are_checked_before_the_first_runs(
+    tmp_path: Path, text: str, message: str
+) -> None:
     data = DataRoot(tmp_path)
     (tmp_path / "scenes").mkdir()
     (tmp_path / "scenes" / "place.toml").write_text(text)
     (tmp_path / "scenes" / "two.toml").write_text('members = ["other", "place"]\n')
-    with_captures(data, "other")
-    with_captures(data, "place")
+    for scene in ("other", "place") if text else ("other",):
+        with_captures(data, scene)
     with pytest.raises(UserError, match=f"(?s){message}"):
-        run_steps(steps(data, "tiny", "two"), "tiny", data)
-    assert not (tmp_path / "runs").exists()
-
-
-def test_a_scene_without_captures_is_named_before_the_others_of_its_group_run(tmp_path: Path) -> None:
-    data = DataRoot(tmp_path)
-    (tmp_path / "scenes").mkdir()
-    (tmp_path / "scenes" / "two.toml").write_text('members = ["other", "plaec"]\n')
-    with_captures(data, "other")
-    with pytest.raises(UserError, match="scene plaec has no captures"):
         run_steps(steps(data, "tiny", "two"), "tiny", data)
     assert not (tmp_path / "runs").exists()
 

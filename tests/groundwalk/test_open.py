@@ -20,8 +20,8 @@ import groundwalk
 from groundwalk import UserError
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import read_table, write_table
 from tests.groundwalk.made_up_run import FRAMES, LOST, MadeUpRun
+from tests.known import put, table_of
 
 ROOT = Path(__file__).resolve().parents[2]
 Make = Callable[..., MadeUpRun]
@@ -187,8 +187,7 @@ def test_a_summary_of_what_has_no_vio_no_scale_or_other_splits(make_run: Make) -
     made = make_run()
 
     def rewritten(stage: str, table: str, change: Callable[[pd.DataFrame], pd.DataFrame]) -> str:
-        path, of = made.folder / stage / f"{table}.parquet", schema(stage, table)
-        write_table(path, change(read_table(path, of)), of)
+        put(made.data, "place", stage, table, change(table_of(made.data, "place", stage, table)))
         return open_place(made).summary()
 
     text = rewritten("import", "sessions", lambda s: s.assign(pose_source="reference", clock="name_order"))

@@ -11,10 +11,10 @@ import pytest
 
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store.files import sha256_of, write_json
-from groundwalk.store.schemas import schema, stage_tables
+from groundwalk.store.schemas import stage_tables
 from groundwalk.store.settings import DataRoot
-from groundwalk.store.tables import pose_frame, read_table, write_table
-from tests.known import filled
+from groundwalk.store.tables import pose_frame, write_table
+from tests.known import filled, put, table_of
 
 COUNT, WIDTH, HEIGHT, FOCAL = 18, 320, 240, 300.0
 TEST, VAL = np.arange(COUNT) % 5 == 2, np.arange(COUNT) == 8
@@ -34,10 +34,9 @@ class Boards:
 
     def note_images(self) -> None:
         """Note the images as they are now in import's table, as if import had seen them so."""
-        path, of = self.data.run("tiny", "Boards", "import") / "frames.parquet", schema("import", "frames")
-        frames = read_table(path, of)
+        frames = table_of(self.data, "Boards", "import", "frames")
         hashes = [sha256_of(self.data.captures("Boards") / image) for image in frames["image"]]
-        write_table(path, frames.assign(image_sha256=hashes), of)
+        put(self.data, "Boards", "import", "frames", frames.assign(image_sha256=hashes))
 
     def table(self, name: str) -> pd.DataFrame:
         return pd.read_parquet(self.data.run("tiny", "Boards", "localise") / f"{name}.parquet")

@@ -19,8 +19,8 @@ from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import UserError, execute
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
-from tests.known import read_picture
+from groundwalk.store.tables import pose_frame, poses_of
+from tests.known import put, read_picture, table_of
 from tests.localisation.board_scene import COUNT, TEST, VAL, Boards, other_board_picture
 
 SMALL = ["max_features=300", "localisers.Map.max_points=400"]
@@ -49,8 +49,7 @@ def test_training_frames_move_as_sfm_says(make_boards: MakeBoards) -> None:
         ("import", "frames", {"first_row": "left"}),
         ("sfm", "images", {**pose_frame("sfm_cam", sfm_T_cam), **moving}),
     ):
-        path, of = folder / stage / f"{name}.parquet", schema(stage, name)
-        write_table(path, read_table(path, of).assign(**columns), of)
+        put(made.data, "Boards", stage, name, table_of(made.data, "Boards", stage, name).assign(**columns))
     inputs = read_inputs(folder)
     np.testing.assert_allclose(inputs.views.angular, [[0.1, 0, 0]] * COUNT)
     np.testing.assert_allclose(inputs.views.velocity, [[0, 0, 0.6]] * COUNT)
@@ -121,11 +120,10 @@ def test_bad_images_are_refused_as_rows(make_boards: MakeBoards) -> None:
 
 def test_frames_that_levels_leave_out_are_counted(make_boards: MakeBoards, capsys: pytest.CaptureFixture[str]) -> None:
     made = make_boards()
-    path, of = made.data.run("tiny", "Boards", "align") / "ground_truth.parquet", schema("align", "ground_truth")
-    truth = read_table(path, of)
+    truth = table_of(made.data, "Boards", "align", "ground_truth")
     tested = np.flatnonzero(TEST)
     truth.loc[tested[:2], "quality"] = "C"
-    write_table(path, truth, of)
+    put(made.data, "Boards", "align", "ground_truth", truth)
     figures = run(made, 'models=["Map"]')["figures"]
     assert figures["Map test frames of quality class C"] == 2
     words = f"100.0 % within 0.25 m and 2 deg of {len(tested) - 2} (2 of quality class C left out)"
@@ -161,8 +159,8 @@ def test_errors_in_a_map_without_metric_scale_are_not_given_in_metres(
     make_boards: MakeBoards, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = make_boards()
-    path, of = made.data.run("tiny", "Boards", "align") / "ground_truth.parquet", schema("align", "ground_truth")
-    write_table(path, read_table(path, of).assign(scale_source="none"), of)
+    truth = table_of(made.data, "Boards", "align", "ground_truth")
+    put(made.data, "Boards", "align", "ground_truth", truth.assign(scale_source="none"))
     figures = run(made, 'models=["Map"]')["figures"]
     assert "Map test median position_m" in figures and not [name for name in figures if "within" in name]
     said = capsys.readouterr().err

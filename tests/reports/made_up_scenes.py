@@ -17,11 +17,10 @@ from groundwalk.capture_import.splits import leak_seconds
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store.files import hash_files, write_json
-from groundwalk.store.manifests import load_manifest, output_hashes
-from groundwalk.store.schemas import schema, stage_tables
+from groundwalk.store.schemas import stage_tables
 from groundwalk.store.settings import DataRoot
-from groundwalk.store.tables import pose_frame, read_table, write_table
-from tests.known import cells, filled
+from groundwalk.store.tables import pose_frame, write_table
+from tests.known import cells, filled, table_of
 
 SECOND = 1_000_000_000
 MODELS = ("PN", "MS-T")
@@ -367,17 +366,6 @@ def write_stage(data: DataRoot, scene: str, stage: str, tables: dict[str, pd.Dat
             "outputs": hash_files(folder, folder.glob("*.parquet")),
         },
     )  # fmt: skip
-
-
-def table_of(data: DataRoot, scene: str, stage: str, table: str) -> pd.DataFrame:
-    return read_table(data.run("tiny", scene, stage) / f"{table}.parquet", schema(stage, table))
-
-
-def rewrite(data: DataRoot, scene: str, stage: str, table: str, content: pd.DataFrame) -> None:
-    """Put another content into a table, as its stage would have written it."""
-    folder = data.run("tiny", scene, stage)
-    write_table(folder / f"{table}.parquet", content, schema(stage, table))
-    write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})
 
 
 def page_of(folder: Path, file: str = "page.html") -> str:

@@ -24,7 +24,8 @@ from groundwalk.store.settings import DataRoot
 from groundwalk.store.stage import execute
 from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
 from tests.known import cells as values
-from tests.reports.made_up_scenes import page_of, rewrite, rows_of, table_of
+from tests.known import rewrite, table_of
+from tests.reports.made_up_scenes import page_of, rows_of
 
 MakeRun = Callable[..., DataRoot]
 pytestmark = pytest.mark.usefixtures("no_figures")
@@ -192,8 +193,8 @@ def test_page_tables_terminal_summary_and_errors_agree_on_who_has_a_pose(
             rows = run.errors[(run.errors["model"] == model) & (run.errors["method"] == method)]
             answered, frames = int(rows["live_position_m"].notna().sum()), len(rows)
             coverage, median = 100 * answered / frames, rows["live_position_m"].fillna(np.inf).median()
-            of_way = cells[(cells["model"] == model) & (cells["method"] == method) & (cells["row"] == "all")]
-            value = of_way[of_way["table"] == "IV"].set_index(["statistic", "quantity"])["value"]
+            of_method = cells[(cells["model"] == model) & (cells["method"] == method) & (cells["row"] == "all")]
+            value = of_method[of_method["table"] == "IV"].set_index(["statistic", "quantity"])["value"]
             assert value["coverage", "frames"] == pytest.approx(coverage)
             assert value["median", "translation"] == pytest.approx(median)
             assert headline[name][1] == f"{median:.2f}" if median > 0.1 else f"{median:.3f}"
