@@ -32,13 +32,7 @@ class OdometryLocaliser(Localiser):
 
     options: OdometryOptions
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._vio: tuple[int, Array] | None = None
-
-    def _advance(
-        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None, gravity: Array | None
-    ) -> Estimate:
+    def _advance(self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None) -> Estimate:
         if vio_T_cam is None:
             return raw(map_T_cam_predicted, "no_odometry")
         jumped = self._vio is not None and have_jumped(
@@ -57,7 +51,7 @@ class OdometryLocaliser(Localiser):
         """The estimate for a frame with odometry; `_vio` is still the last one."""
 
     def _forget(self) -> None:
-        self._vio = None
+        self._vio: tuple[int, Array] | None = None
 
 
 def raw(map_T_cam_predicted: Array | None, *reasons: str) -> Estimate:

@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.methods.error_state import ErrorState, ErrorStateOptions
-from groundwalk.fusion.methods.last_good import LastGood, LastGoodOptions
+from groundwalk.fusion.methods.last_good import LastGood
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, Status
+from groundwalk.fusion.methods.odometry import PairOptions
 from groundwalk.fusion.methods.offline import Offline, stepped
 from groundwalk.fusion.methods.pose_graph import PoseGraph, PoseGraphOptions
 from groundwalk.fusion.methods.smoother import Smoother
@@ -66,7 +67,7 @@ def test_jumps_and_lost_odometry(name: str) -> None:
 
 
 def test_last_good_is_the_last_pair_that_the_literal_check_passes() -> None:
-    options = LastGoodOptions(vio_jump_m=1e6)
+    options = PairOptions(vio_jump_m=1e6)
     for seed in range(20):
         walk = random_walk(seed)
         frames = literal_frames(walk)
