@@ -20,8 +20,7 @@ from groundwalk.fusion.methods.window import Window, WindowOptions
 from groundwalk.geometry.fits import pose_residuals
 from groundwalk.geometry.pose_graph import smooth_chain
 from groundwalk.geometry.poses import Array, inverse, make_pose, relative, yaw_rotation
-from tests.fusion.literal_rule import pair_is_consistent
-from tests.fusion.methods.test_paper_rule import literal_frames
+from tests.fusion.literal_rule import literal_frames, pair_is_consistent
 from tests.fusion.random_walks import random_walk
 from tests.fusion.upright_walks import as_walk, upright_walk
 from tests.known import there
@@ -74,9 +73,9 @@ def test_last_good_is_the_last_pair_that_the_literal_check_passes() -> None:
         answers = stepped(LastGood(options), as_walk(walk.t_ns, walk.map_T_cam, walk.vio, walk.apr))
         last, good = None, None
         for i, frame in enumerate(frames):
-            if frame.vio is None:
+            if not frame.has_vio:
                 continue
-            if frame.apr is not None:
+            if frame.has_apr:
                 if last is not None and pair_is_consistent(frames[last], frame, options):
                     good = i
                 last = i
