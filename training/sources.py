@@ -118,14 +118,14 @@ def feature_cache(
         folder.mkdir(parents=True, exist_ok=True)
         model.eval()
         recipe = run.settings.training
-        changed, unchanged = (recipe.turn_deg or (0, 0, 0), recipe.jitter), ((0, 0, 0), (0, 0, 0, 0))
         file = None
         quaternions = []
         for copy in range(COPIES + 1):
             rng = np.random.default_rng([run.seed, copy])
+            turn_deg, jitter = (recipe.turn_deg or (0, 0, 0), recipe.jitter) if copy else ((0, 0, 0), (0, 0, 0, 0))
             for start in range(0, len(training), _BATCH):
                 rows = np.arange(start, min(start + _BATCH, len(training)))
-                image, poses = augmented(training.select(rows), run, *(changed if copy else unchanged), rng)
+                image, poses = augmented(training.select(rows), run, turn_deg, jitter, rng)
                 features = model.features(image)
                 if file is None:
                     shape = ((COPIES + 1) * len(training), *features.shape[1:])

@@ -31,6 +31,7 @@ class OdometryLocaliser(Localiser):
     """
 
     options: OdometryOptions
+    _vio: tuple[int, Array] | None
 
     def _advance(self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None) -> Estimate:
         if vio_T_cam is None:
@@ -51,7 +52,7 @@ class OdometryLocaliser(Localiser):
         """The estimate for a frame with odometry; `_vio` is still the last one."""
 
     def _forget(self) -> None:
-        self._vio: tuple[int, Array] | None = None
+        self._vio = None
 
 
 def raw(map_T_cam_predicted: Array | None, *reasons: str) -> Estimate:
