@@ -27,7 +27,7 @@ from groundwalk.fusion.evaluation.fuse import Run, fuse, pose_errors
 from groundwalk.fusion.evaluation.leaderboard import RULE, within_bounds
 from groundwalk.fusion.methods import METHODS, resolve_options
 from groundwalk.fusion.methods.localiser import Status
-from groundwalk.fusion.walk import Walk
+from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.simulation.scenes import NAMES
 from groundwalk.store.cli import new_app
@@ -146,7 +146,7 @@ def course(walk: Walk, method: str, rate: int = 1) -> Course:
     position, rotation = (np.where(np.isnan(error), np.inf, error) for error in errors)
     lost = np.isin(fused.live_status, [Status.LOST, Status.NONE, Status.ALIGNING])
     beyond = np.zeros(len(walk), dtype=bool)
-    beyond[[e.covariance is not None for e in fused.estimates]] = ~within_bounds(fused).all(axis=1)
+    beyond[known(fused.covariance)] = ~within_bounds(fused).all(axis=1)
     return Course(position[::rate], rotation[::rate], lost[::rate], beyond[::rate])
 
 

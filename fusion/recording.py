@@ -151,7 +151,7 @@ def record(
             _log_walk(stream, f"{at}/{method}", name, times, f.live_map_T_cam, _colour(f), 0.5)
         else:
             _log_walk(stream, f"{at}/fused/{method}", name, times, f.live_map_T_cam, _colour(f))
-            _log_walk(stream, f"{at}/vio_aligned/{method}", name, times, _vio_aligned(f), colours.VIO, 0.5)
+            _log_walk(stream, f"{at}/vio_aligned/{method}", name, times, f.map_T_vio @ walk.vio_T_cam, colours.VIO, 0.5)
             _log_residuals(stream, f"{at}/residual/{method}", f, times)
             _log_covariance(stream, f"{at}/covariance/{method}", f, times)
             _log_decisions(stream, at, f, times, gates[method])
@@ -174,13 +174,6 @@ def _signals(fused: list[Fused]) -> dict[str, list[str]]:
         if METHODS[f.run.method].fuses:
             names.setdefault(f.run.method, set()).update(name for e in f.estimates for name in e.signals)
     return {method: sorted(keys) for method, keys in names.items()}
-
-
-def _vio_aligned(f: Fused) -> Array:
-    """Odometry (N, 4, 4) in the map by the alignment in force, NaN before there is one."""
-    none = np.full((4, 4), np.nan)
-    map_T_vio = np.array([none if e.map_T_vio is None else e.map_T_vio for e in f.estimates]).reshape(-1, 4, 4)
-    return map_T_vio @ f.walk.vio_T_cam
 
 
 def _log_walk(
@@ -216,11 +209,10 @@ def _log_residuals(stream: rr.RecordingStream, path: str, f: Fused, times: list[
 
 def _log_covariance(stream: rr.RecordingStream, path: str, f: Fused, times: list[rr.TimeColumn]) -> None:
     """The ellipsoid that holds the position with 95 % by the method's covariance, for methods that have one."""
-    there = known(f.live_map_T_cam) & np.array([e.covariance is not None for e in f.estimates])
+    there = known(f.live_map_T_cam) & known(f.covariance)
     if not there.any():
         return
-    covariance = np.array([e.covariance for e, ok in zip(f.estimates, there, strict=True) if ok])[:, 3:, 3:]
-    variance, axes = np.linalg.eigh(covariance)
+    variance, axes = np.linalg.eigh(f.covariance[there, 3:, 3:])
     axes[..., 0] *= np.linalg.det(axes)[:, None]
     stream.log(
         path,

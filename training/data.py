@@ -3,10 +3,9 @@
 import os
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -71,14 +70,6 @@ class View:
     upright: bool = False
 
 
-class Turns(NamedTuple):
-    """The largest camera turns, in degrees either way, that a training crop may stand for."""
-
-    yaw: float
-    pitch: float
-    roll: float
-
-
 @dataclass(frozen=True)
 class Frames:
     """N frames: where each one's image is in the cache, its calibration and its pose.
@@ -101,15 +92,7 @@ class Frames:
 
     def select(self, rows: NDArray[np.int64]) -> "Frames":
         """The frames of these rows, in their order."""
-        return Frames(
-            self.cache,
-            self.index_N[rows],
-            self.K_N33[rows],
-            self.position_N3[rows],
-            self.quaternion_N4[rows],
-            self.scene_N[rows],
-            self.gravity_N3[rows],
-        )
+        return replace(self, **{name: values[rows] for name, values in vars(self).items() if name != "cache"})
 
     def seen(self, view: View) -> Rotation:
         """cam_R_seen (N): from the axes of the camera whose image the network sees to those of the camera."""
@@ -144,23 +127,24 @@ class Frames:
         return normalised(to_tensor(crops, device))
 
     def training_crops(
-        self, view: View, turns: Turns | None, rng: np.random.Generator, device: torch.device
+        self, view: View, turn_deg: tuple[float, float, float] | None, rng: np.random.Generator, device: torch.device
     ) -> tuple[Tensor, PoseBatch]:
         """Images (N, 3, height, width) in 0..1 for training, and the poses that they are to be given.
 
-        Without `turns`, a crop anywhere in the image with the image's pose, as the paper has it. With them, the
-        picture that the camera would have taken turned by a random angle about its centre, and that turned pose:
-        turning doesn't change what is visible from where, so the picture is right without knowing the scene.
+        Without `turn_deg`, a crop anywhere in the image with the image's pose, as the paper has it. With it, the
+        largest yaw, pitch and roll either way, the picture that the camera would have taken turned by a random angle
+        about its centre, and that turned pose: turning doesn't change what is visible from where, so the picture is
+        right without knowing the scene.
         """
         crops, quaternions = [], self.quaternion_N4
-        if turns is None and not view.upright:
+        if turn_deg is None and not view.upright:
             for index in self.index_N:
                 image = self.cache[index]
                 sides = zip(image.shape[:2], (view.height, view.width), strict=True)
                 top, left = (int(rng.integers(0, side - seen + 1)) for side, seen in sides)
                 crops.append(image[top : top + view.height, left : left + view.width])
         else:
-            angles = rng.uniform(-1, 1, (len(self), 3)) * (turns or Turns(0, 0, 0))
+            angles = rng.uniform(-1, 1, (len(self), 3)) * (turn_deg or (0, 0, 0))
             cam_R_turned = self.seen(view) * Rotation.from_euler("yxz", angles, degrees=True)
             crops = self._turned(cam_R_turned, view, device)
             quaternions = (Rotation.from_quat(quaternions) * cam_R_turned).as_quat()
@@ -207,29 +191,23 @@ def normalised(image_N3HW: Tensor) -> Tensor:
     return (image_N3HW - mean) / torch.tensor(IMAGENET_STD, device=image_N3HW.device)[:, None, None]
 
 
-class Jitter(NamedTuple):
-    """Largest relative change of brightness, contrast and saturation, and of hue in turns of the colour circle."""
+def jittered(image_N3HW: Tensor, extents: tuple[float, float, float, float], rng: np.random.Generator) -> Tensor:
+    """Images in 0..1 with colours changed at random, each in its own way. extents: the largest relative change of
+    brightness, contrast and saturation, and of hue in turns of the colour circle, made in this order."""
+    if not any(extents):
+        return image_N3HW
+    brightness, contrast, saturation, hue = extents
 
-    brightness: float
-    contrast: float
-    saturation: float
-    hue: float
+    def draw(extent: float) -> Tensor:
+        values = rng.uniform(-extent, extent, (len(image_N3HW), 1, 1, 1))
+        return torch.tensor(values, dtype=torch.float32, device=image_N3HW.device)
 
-    def apply(self, image_N3HW: Tensor, rng: np.random.Generator) -> Tensor:
-        """Images in 0..1 with colours changed at random, each in its own way, in this order."""
-        if not any(self):
-            return image_N3HW
-
-        def draw(extent: float) -> Tensor:
-            values = rng.uniform(-extent, extent, (len(image_N3HW), 1, 1, 1))
-            return torch.tensor(values, dtype=torch.float32, device=image_N3HW.device)
-
-        image = (image_N3HW * (1 + draw(self.brightness))).clamp(0, 1)
-        mean = _grey(image).mean((1, 2, 3), keepdim=True)
-        image = (mean + (image - mean) * (1 + draw(self.contrast))).clamp(0, 1)
-        grey = _grey(image)
-        image = (grey + (image - grey) * (1 + draw(self.saturation))).clamp(0, 1)
-        return shift_hue(image, draw(self.hue)) if self.hue else image
+    image = (image_N3HW * (1 + draw(brightness))).clamp(0, 1)
+    mean = _grey(image).mean((1, 2, 3), keepdim=True)
+    image = (mean + (image - mean) * (1 + draw(contrast))).clamp(0, 1)
+    grey = _grey(image)
+    image = (grey + (image - grey) * (1 + draw(saturation))).clamp(0, 1)
+    return shift_hue(image, draw(hue)) if hue else image
 
 
 def _grey(image_N3HW: Tensor) -> Tensor:

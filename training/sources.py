@@ -10,7 +10,7 @@ from torch import Tensor
 
 from groundwalk.store.child import Report
 from groundwalk.store.files import written_aside
-from groundwalk.training.data import Frames, Jitter, Turns, View, normalised, pose_batch
+from groundwalk.training.data import Frames, View, jittered, normalised, pose_batch
 from groundwalk.training.evaluation import errors, pose_errors
 from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
 from groundwalk.training.poses import PoseBatch
@@ -40,6 +40,18 @@ class Run:
     """of lengths, in words for the user"""
 
 
+def augmented(
+    frames: Frames,
+    run: Run,
+    turn_deg: tuple[float, float, float] | None,
+    jitter: tuple[float, float, float, float],
+    rng: np.random.Generator,
+) -> tuple[Tensor, PoseBatch]:
+    """Training crops of the frames, re-coloured and normalised, and their poses."""
+    image, poses = frames.training_crops(run.view, turn_deg, rng, run.device)
+    return normalised(jittered(image, jitter, rng)).contiguous(memory_format=torch.channels_last), poses
+
+
 class ImageSource:
     """Training images, cropped, turned and re-coloured anew in every epoch."""
 
@@ -50,10 +62,7 @@ class ImageSource:
     def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
         """What the loss of some rows is computed from (see `gradient_step`), and the true poses."""
         recipe = self.run.settings.training
-        turns = Turns(*recipe.turn_deg) if recipe.turn_deg else None
-        image, poses = self.training.select(rows).training_crops(self.run.view, turns, rng, self.run.device)
-        image = normalised(Jitter(*recipe.jitter).apply(image, rng))
-        return image.contiguous(memory_format=torch.channels_last), poses
+        return augmented(self.training.select(rows), self.run, recipe.turn_deg, recipe.jitter, rng)
 
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Position (m) and rotation errors (deg) on the held-out frames."""
@@ -109,16 +118,14 @@ def feature_cache(
         folder.mkdir(parents=True, exist_ok=True)
         model.eval()
         recipe = run.settings.training
-        turns, jitter = Turns(*(recipe.turn_deg or (0, 0, 0))), Jitter(*recipe.jitter)
         file = None
         quaternions = []
         for copy in range(COPIES + 1):
             rng = np.random.default_rng([run.seed, copy])
-            angles, colours = (turns, jitter) if copy else (Turns(0, 0, 0), Jitter(0, 0, 0, 0))
+            turn_deg, jitter = (recipe.turn_deg or (0, 0, 0), recipe.jitter) if copy else ((0, 0, 0), (0, 0, 0, 0))
             for start in range(0, len(training), _BATCH):
                 rows = np.arange(start, min(start + _BATCH, len(training)))
-                image, poses = training.select(rows).training_crops(run.view, angles, rng, run.device)
-                image = normalised(colours.apply(image, rng)).contiguous(memory_format=torch.channels_last)
+                image, poses = augmented(training.select(rows), run, turn_deg, jitter, rng)
                 features = model.features(image)
                 if file is None:
                     shape = ((COPIES + 1) * len(training), *features.shape[1:])

@@ -82,7 +82,9 @@ def run(r: StageRun[TrainSettings]) -> None:
     models = models_of(r)
     if models:
         check_trainable(frames, r.folder("align", r.leaves[0]))
-    focal = choose_camera(r, frames) if models else None
+    focal = virtual_focal(frames) if models and r.settings.undistort else None
+    if focal is not None:
+        r.figure("virtual focal length in shorter image sides", focal)
     with r.step("images"):
         sides = sorted({r.settings.resize, *(short_side(r.settings, model) for model in models)})
         data = {side: read_images(r, frames, focal, side) for side in sides}
@@ -145,15 +147,6 @@ def models_of(r: StageRun[TrainSettings]) -> list[str]:
             do=f"add it to {setting_of('train', 'models')}",
         )
     return models
-
-
-def choose_camera(r: StageRun[TrainSettings], frames: pd.DataFrame) -> float | None:
-    """The virtual pinhole's focal length in shorter sides, None for images as captured."""
-    if not r.settings.undistort:
-        return None
-    focal = virtual_focal(frames)
-    r.figure("virtual focal length in shorter image sides", focal)
-    return focal
 
 
 def short_side(settings: TrainSettings, model: str) -> int:

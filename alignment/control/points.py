@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.alignment.control.settings import ControlSettings
-from groundwalk.alignment.rulers.detection import CENTRE_OF_FIRST_PIXEL, Grey, markers_in
+from groundwalk.alignment.rulers.detection import CENTRE_OF_FIRST_PIXEL, Grey, markers_in, rows_read_off
 from groundwalk.geometry.earth import Origin, enu_of
 from groundwalk.geometry.poses import Array
 from groundwalk.store import UserError
@@ -102,32 +102,16 @@ def _of_file(path: Path, names: list[str], frames: pd.DataFrame) -> list[tuple[i
     """Row of the frames table, point, and pixel of each line of a file."""
     table = _read(path, ["frame", "point"], ["x_px", "y_px"])
     _refuse_repeated(table, ["frame", "point"], path)
-    row_of = {frame_id: row for row, frame_id in enumerate(frames["frame_id"])}
-    for column, known, what in (
-        ("frame", list(row_of), "frame_id of import.frames"),
-        ("point", names, "surveyed point"),
-    ):
-        if unknown := sorted(set(table[column]) - set(known)):
-            raise UserError(
-                f"{len(unknown)} names in column {column} aren't any {what}",
-                where=path,
-                found=unknown[0],
-                expected=f"a {what}, such as {known[0]}",
-                do="correct the names; sampling drops images",
-            )
-    row = table["frame"].map(row_of).to_numpy(int)
-    xy, size = table[["x_px", "y_px"]].to_numpy(float), frames[["width", "height"]].to_numpy(float)[row]
-    outside = np.flatnonzero(((xy < 0) | (xy > size)).any(axis=1))
-    if len(outside):
-        line = table.iloc[outside[0]]
+    point = pd.Index(names).get_indexer(pd.Index(table["point"]))
+    if (point < 0).any():
         raise UserError(
-            f"point {line['point']} is outside of its image",
-            where=f"{path}, frame {line['frame']}",
-            found=f"({line['x_px']:g}, {line['y_px']:g})",
-            expected="pixels of the image as stored, (0, 0) to ({:g}, {:g})".format(*size[outside[0]]),
-            do="read the pixel off the image at its full size, as import.frames has it",
+            f"{(point < 0).sum()} lines are of points that aren't surveyed",
+            where=path,
+            found=table["point"].iloc[int(np.argmin(point))],
+            expected=f"a surveyed point, such as {names[0]}",
+            do="correct the names",
         )
-    point = table["point"].map({name: index for index, name in enumerate(names)})
+    row, xy = rows_read_off(table, frames, path), table[["x_px", "y_px"]].to_numpy(float)
     return list(zip(row.tolist(), point.tolist(), *xy.T.tolist(), strict=True))
 
 

@@ -91,36 +91,45 @@ def _detections(ruler: BoardRuler, by_image: Sequence[Detection], paths: Sequenc
 
 
 def _read_off(ruler: DistanceRuler, frames: pd.DataFrame) -> RulerDetections:
-    row_of = {frame_id: row for row, frame_id in enumerate(frames["frame_id"])}
-    rows, corner, xy = [], [], []
-    for index, point in enumerate(ruler.points):
-        for observation in point.observations:
-            if observation.frame not in row_of:
-                raise UserError(
-                    f"ruler {ruler.name!r}: point {point.name!r} is seen in a frame that doesn't exist",
-                    where="[[ruler]] of the scene's file",
-                    found=observation.frame,
-                    expected=f"a frame_id of import.frames, such as {frames['frame_id'].iloc[0]}",
-                    do="name a frame of import.frames; sampling drops images",
-                )
-            row = row_of[observation.frame]
-            width, height = (int(frames[side].iloc[row]) for side in ("width", "height"))
-            x, y = observation.xy
-            if not (0 <= x <= width and 0 <= y <= height):
-                raise UserError(
-                    f"ruler {ruler.name!r}: point {point.name!r} is outside of its image",
-                    where=f"[[ruler]] of the scene's file, frame {observation.frame}",
-                    found=f"xy = [{x:g}, {y:g}]",
-                    expected=f"pixels of the image as stored, [0, 0] to [{width}, {height}]",
-                    do="read the pixel off the image at its full size, as import.frames has it",
-                )
-            rows.append(row)
-            corner.append(index)
-            xy.append(observation.xy)
-    corners = Corners(np.array([[0.0, 0.0, 0.0], [ruler.length_m, 0.0, 0.0]]), np.zeros(2, dtype=np.int64))
-    return RulerDetections(
-        ruler, corners, np.zeros(2, dtype=bool), np.array(rows), np.array(corner), np.array(xy, dtype=float)
+    seen = pd.DataFrame(
+        [
+            (index, point.name, observation.frame, *observation.xy)
+            for index, point in enumerate(ruler.points)
+            for observation in point.observations
+        ],
+        columns=["corner", "point", "frame", "x_px", "y_px"],
     )
+    row = rows_read_off(seen, frames, f"[[ruler]] {ruler.name!r} of the scene's file")
+    corners = Corners(np.array([[0.0, 0.0, 0.0], [ruler.length_m, 0.0, 0.0]]), np.zeros(2, dtype=np.int64))
+    xy_px = seen[["x_px", "y_px"]].to_numpy(float)
+    return RulerDetections(ruler, corners, np.zeros(2, dtype=bool), row, seen["corner"].to_numpy(), xy_px)
+
+
+def rows_read_off(seen: pd.DataFrame, frames: pd.DataFrame, where: object) -> NDArray[np.int64]:
+    """Rows of the frames table in which a person has read off points, whose `frame`, `point`, `x_px` and `y_px` the
+    table `seen` has; `where` they are written. UserError for a frame that doesn't exist, or a pixel outside of it."""
+    row = pd.Index(frames["frame_id"]).get_indexer(pd.Index(seen["frame"])).astype(np.int64)
+    if (row < 0).any():
+        line = seen.iloc[int(np.argmin(row))]
+        raise UserError(
+            f"point {line['point']!r} is seen in a frame that doesn't exist",
+            where=where,
+            found=line["frame"],
+            expected=f"a frame_id of import.frames, such as {frames['frame_id'].iloc[0]}",
+            do="name a frame of import.frames; sampling drops images",
+        )
+    xy, size = seen[["x_px", "y_px"]].to_numpy(float), frames[["width", "height"]].to_numpy(float)[row]
+    outside = np.flatnonzero(~((xy >= 0) & (xy <= size)).all(axis=1))
+    if len(outside):
+        line = seen.iloc[outside[0]]
+        raise UserError(
+            f"point {line['point']!r} is outside of its image",
+            where=f"{where}, frame {line['frame']}",
+            found="({:g}, {:g})".format(*xy[outside[0]]),
+            expected="pixels of the image as stored, (0, 0) to ({:g}, {:g})".format(*size[outside[0]]),
+            do="read the pixel off the image at its full size, as import.frames has it",
+        )
+    return row
 
 
 def nominal_corners(ruler: BoardRuler) -> Corners:

@@ -42,15 +42,28 @@ class Fused:
     live_status: NDArray[np.object_]
     live_map_T_cam: Array
 
+    @property
+    def map_T_vio(self) -> Array:
+        """The alignments in force, (N, 4, 4), NaN before there is one."""
+        return _or_nan([e.map_T_vio for e in self.estimates], (4, 4))
+
+    @property
+    def covariance(self) -> Array:
+        """Of the errors of the poses in time, (N, 6, 6), NaN where a method states none."""
+        return _or_nan([e.covariance for e in self.estimates], (6, 6))
+
+
+def _or_nan(parts: list[Array | None], shape: tuple[int, int]) -> Array:
+    return np.array([np.full(shape, np.nan) if part is None else part for part in parts]).reshape(-1, *shape)
+
 
 def fuse(run: Run, walk: Walk, localiser: Stepping | Offline) -> Fused:
     """Feed a walk to a fresh localiser, or to one that has been reset, or let an offline method see the whole of it."""
     with one_thread():
         estimates = localiser.estimates(walk) if isinstance(localiser, Offline) else stepped(localiser, walk)
     _check(estimates, walk)
-    none = np.full((4, 4), np.nan)
     live_status = np.array([str(e.status) for e in estimates], dtype=object)
-    live = np.array([none if e.map_T_cam is None else e.map_T_cam for e in estimates]).reshape(-1, 4, 4)
+    live = _or_nan([e.map_T_cam for e in estimates], (4, 4))
     status, poses = live_status.copy(), live.copy()
     index = {int(t): i for i, t in enumerate(walk.t_ns)}
     for estimate in estimates:
@@ -85,14 +98,12 @@ def fuse_all(run: Run, walks: Iterable[Walk], make: Callable[[], Stepping | Offl
 
 def pose_rows(fused: Fused) -> pd.DataFrame:
     """Table fuse.poses."""
-    none = np.full((4, 4), np.nan)
-    alignment = np.array([none if e.map_T_vio is None else e.map_T_vio for e in fused.estimates]).reshape(-1, 4, 4)
     return pd.concat(
         [
             _keys(fused).assign(status=fused.status, live_status=fused.live_status),
             pose_frame("map_cam", fused.map_T_cam),
             pose_frame("live_map_cam", fused.live_map_T_cam),
-            pose_frame("map_vio", alignment),
+            pose_frame("map_vio", fused.map_T_vio),
             pd.DataFrame(
                 {
                     "covariance": [

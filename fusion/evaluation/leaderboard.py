@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from groundwalk.fusion.evaluation.evaluate import joined_walks
 from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, stacked
-from groundwalk.fusion.evaluation.summary import figures, score_columns
+from groundwalk.fusion.evaluation.summary import figures
 from groundwalk.fusion.evaluation.validation import ERRORS, ahead_of
 from groundwalk.fusion.files.parquet import Files
 from groundwalk.fusion.files.walks import Inputs
@@ -159,11 +159,11 @@ def _case_rows(case: Case, options: Mapping[str, MethodOptions]) -> list[dict[st
 
 def _row(case: Case, name: str, options: MethodOptions) -> dict[str, Any]:
     fused = fuse_all(Run(name, "", case.model), case.walks, partial(method(name).make, options))
-    errors = score_columns(stacked(error_rows(f) for f in fused), "live_")
+    errors = stacked(error_rows(f) for f in fused)
     row: dict[str, Any] = {"group": case.group, "scene": case.scene, "model": case.model, "method": name}
-    row |= {"causal": method(name).causal, "walks": len(case.walks), **figures(*errors, len(errors[0]))}
-    for figure, values in zip(("position_p95_m", "rotation_p95_deg"), errors, strict=False):
-        failed = np.sort(np.where(np.isfinite(values), values, np.inf))
+    row |= {"causal": method(name).causal, "walks": len(case.walks), **figures(errors, "live_", len(errors))}
+    for figure, error in (("position_p95_m", "live_position_m"), ("rotation_p95_deg", "live_rotation_deg")):
+        failed = np.sort(errors[error].fillna(np.inf).to_numpy())
         row[figure] = float(failed[int(0.95 * len(failed))])
     inside = np.concatenate([within_bounds(f) for f in fused])
     for i, quantity in enumerate(("position", "rotation")):
@@ -173,12 +173,11 @@ def _row(case: Case, name: str, options: MethodOptions) -> dict[str, Any]:
 
 def within_bounds(fused: Fused) -> NDArray[np.bool_]:
     """Whether position and rotation errors lie within the 95 % bounds, (N, 2), of the frames that have bounds."""
-    there = known(fused.live_map_T_cam) & known(fused.walk.map_T_cam)
-    there &= np.array([e.covariance is not None for e in fused.estimates], dtype=bool)
+    there = known(fused.live_map_T_cam) & known(fused.walk.map_T_cam) & known(fused.covariance)
     if not there.any():
         return np.zeros((0, 2), dtype=bool)
-    covariance = np.array([e.covariance for e, ok in zip(fused.estimates, there, strict=True) if ok])
-    return scoring_errors.within_bounds(fused.live_map_T_cam[there], fused.walk.map_T_cam[there], covariance)
+    poses = fused.live_map_T_cam[there], fused.walk.map_T_cam[there]
+    return scoring_errors.within_bounds(*poses, fused.covariance[there])
 
 
 def ahead(rows: pd.DataFrame) -> pd.DataFrame:

@@ -27,7 +27,7 @@ def summarise(errors: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for key, frames, prefix, total in _subsets_of_runs(errors):
         for scored, columns in (("method", prefix), ("raw", "raw_")):
-            rows.append(key | {"scored": scored} | figures(*score_columns(frames, columns), total))
+            rows.append(key | {"scored": scored} | figures(frames, columns, total))
     return pd.DataFrame(rows)
 
 
@@ -53,10 +53,9 @@ def score_columns(frames: pd.DataFrame, prefix: str) -> tuple[Array, Array, Flag
     return position, rotation, sure_enough(frames["quality"])
 
 
-def figures(position: Array, rotation: Array, certain: Flags, total: int) -> dict[str, float | int]:
-    """The figures of a row of fuse.summary for errors (N,) in metres and degrees, NaN where there is no pose; levels
-    are over the `certain` (N,) frames."""
-    s = score(position, rotation, certain)
+def figures(frames: pd.DataFrame, prefix: str, total: int) -> dict[str, float | int]:
+    """The figures of a row of fuse.summary for rows of fuse.errors, of the errors with that prefix."""
+    s = score(*score_columns(frames, prefix))
     return {
         "frames": s.frames,
         "answered": s.answered,

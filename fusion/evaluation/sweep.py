@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from groundwalk.fusion.evaluation.fuse import Run, error_rows, fuse, stacked
-from groundwalk.fusion.evaluation.summary import figures, score_columns
+from groundwalk.fusion.evaluation.summary import figures
 from groundwalk.fusion.methods.paper_rule import PaperRule, PaperRuleOptions
 from groundwalk.fusion.walk import Walk
 from groundwalk.scoring.scores import SUBSETS
@@ -53,7 +53,7 @@ def _rows(key: tuple[str, str], walks: Sequence[Walk], setting: Setting) -> list
     row |= {threshold: getattr(setting.options, threshold) for threshold in VALUES}
     answered = errors[errors["status"].isin(SUBSETS["rp+opt"])]
     return [
-        row | {"subset": subset} | figures(*score_columns(frames, prefix), len(errors))
+        row | {"subset": subset} | figures(frames, prefix, len(errors))
         for subset, frames, prefix in (("rp+opt", answered, ""), ("all", errors, "live_"))
     ]
 

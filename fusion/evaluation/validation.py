@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.fusion.evaluation.fuse import Run, error_rows, fuse_all, stacked
-from groundwalk.fusion.evaluation.summary import figures, score_columns
+from groundwalk.fusion.evaluation.summary import figures
 from groundwalk.fusion.methods import method
 from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.fusion.walk import Walk
@@ -24,7 +24,7 @@ def validation_rows(walks: list[Walk], model: str, options: Mapping[str, MethodO
             continue
         fused = fuse_all(Run(name, "", model), walks, partial(method(name).make, chosen))
         errors = stacked(error_rows(f) for f in fused)
-        of_all = figures(*score_columns(errors, "live_"), len(errors))
+        of_all = figures(errors, "live_", len(errors))
         row = {"method": name, "model": model, "scene": walks[0].scene}
         rows.append(row | {figure: of_all[figure] for figure in ("frames", "coverage_pct", *ERRORS)})
     table = pd.DataFrame(rows)

@@ -95,12 +95,13 @@ def evaluated(
     """
     chosen = _of_splits(scene, frames, list(splits))
     ordered = chosen.sort_values(["session_id", "t_ns"], kind="stable")
-    apr_T = _poses_for(ordered, predictions)
-    covariance, unsound = _covariances(ordered, predictions)
-    vio_T, true_T = _poses(ordered, "vio_cam"), _poses_for(ordered, truth)
+    # Of each evaluated frame, null where it has none.
+    predicted, stated = (table.set_index("frame_id").reindex(ordered["frame_id"]) for table in (predictions, truth))
+    vio_T, apr_T, true_T = _poses(ordered, "vio_cam"), _poses(predicted, "map_cam"), _poses(stated, "map_cam")
+    covariance, unsound = _covariances(predicted)
     if map_unit(truth) is not MapUnit.METRE:
         vio_T[:] = np.nan  # metres can't be fused with poses in another unit
-    quality = _qualities(ordered, truth)
+    quality = _qualities(stated)
     true_T[quality == _NO_TRUTH] = np.nan
     true = known(true_T)
     if not true.any():
@@ -128,7 +129,7 @@ def evaluated(
     prediction_counts = {
         "prediction_quaternions_not_of_unit_length": _not_unit(evaluated_predictions),
         "frames_without_prediction": int((~listed).sum()),
-        "predictions_refused": int((refused := _refused(ordered, predictions)).sum()),
+        "predictions_refused": int((refused := _refused(predicted)).sum()),
         "predictions_not_finite": int((listed & ~known(apr_T) & ~refused).sum()),
         "prediction_covariances_not_positive_definite": unsound,
         "predictions_outside_the_place": _outside(apr_T, true_T),
@@ -188,14 +189,13 @@ def _walks(
     return walks
 
 
-def _covariances(frames: pd.DataFrame, predictions: pd.DataFrame) -> tuple[Array | None, int]:
-    """The covariances (N, 6, 6) that predictions bring for each row of `frames`, NaN where there is none or what is
-    there can't be one, and how many can't; None where no prediction brings any."""
+def _covariances(predictions: pd.DataFrame) -> tuple[Array | None, int]:
+    """The covariances (N, 6, 6) that predictions bring, NaN where there is none or what is there can't be one, and how
+    many can't; None where no prediction brings any."""
     if "covariance" not in predictions.columns or not predictions["covariance"].notna().any():
         return None, 0
-    stated = predictions.set_index("frame_id")["covariance"].reindex(frames["frame_id"])
-    covariances, unsound = np.full((len(frames), 6, 6), np.nan), 0
-    for i, numbers in enumerate(stated):
+    covariances, unsound = np.full((len(predictions), 6, 6), np.nan), 0
+    for i, numbers in enumerate(predictions["covariance"]):
         if numbers is None or np.ndim(numbers) == 0:
             continue
         matrix = np.asarray(numbers, dtype=float).ravel()
@@ -206,12 +206,11 @@ def _covariances(frames: pd.DataFrame, predictions: pd.DataFrame) -> tuple[Array
     return covariances, unsound
 
 
-def _refused(frames: pd.DataFrame, predictions: pd.DataFrame) -> Flags:
-    """For which rows of `frames` a localiser refused to give a pose, (N,)."""
+def _refused(predictions: pd.DataFrame) -> Flags:
+    """In which rows a localiser refused to give a pose, (N,)."""
     if "refusal" not in predictions.columns:
-        return np.zeros(len(frames), bool)
-    refused = predictions.loc[predictions["refusal"].notna(), "frame_id"]
-    return np.asarray(frames["frame_id"].isin(refused), bool)
+        return np.zeros(len(predictions), bool)
+    return predictions["refusal"].notna().to_numpy()
 
 
 def _outside(apr_T: Array, true_T: Array) -> int:
@@ -221,11 +220,6 @@ def _outside(apr_T: Array, true_T: Array) -> int:
     extent_m = max(float(np.linalg.norm(high - low)), _SMALLEST_PLACE_M)
     away_m = np.linalg.norm(np.maximum(0, np.maximum(low - predicted, predicted - high)), axis=1)
     return int((away_m > extent_m).sum())
-
-
-def _poses_for(frames: pd.DataFrame, table: pd.DataFrame) -> Array:
-    """map_T_cam (N, 4, 4) of `table` for each row of `frames`, NaN where it has none."""
-    return _poses(table.set_index("frame_id").reindex(frames["frame_id"]), "map_cam")
 
 
 def _poses(table: pd.DataFrame, prefix: str) -> Array:
@@ -268,11 +262,11 @@ def _refuse_no_quaternions(table: pd.DataFrame, what: str) -> None:
         )
 
 
-def _qualities(frames: pd.DataFrame, truth: pd.DataFrame) -> NDArray[np.object_]:
-    """The class of each frame's ground truth, (N,); None where none is stated."""
+def _qualities(truth: pd.DataFrame) -> NDArray[np.object_]:
+    """The class of each row's ground truth, (N,); None where none is stated."""
     if "quality" not in truth.columns:
-        return np.full(len(frames), None, dtype=object)
-    quality = truth.set_index("frame_id")["quality"].reindex(frames["frame_id"]).to_numpy(object)
+        return np.full(len(truth), None, dtype=object)
+    quality = truth["quality"].to_numpy(object, copy=True)
     quality[pd.isna(quality)] = None
     return np.asarray(quality)
 

@@ -78,14 +78,17 @@ class DriftAwareOptions(OdometryOptions):
 class DriftAware(Localiser):
     """Every frame from the first prediction on gets a pose and a covariance."""
 
+    options_type = DriftAwareOptions
     options: DriftAwareOptions
     _not_saved = (*Localiser._not_saved, "_prior", "_last")
 
     def __init__(self, options: DriftAwareOptions | None = None, forgetful: bool = True) -> None:
         """`forgetful`: memory is bounded; else all predictions are kept, for `revised`."""
-        super().__init__()
         self._forgetful = forgetful
-        self.options = o = options or DriftAwareOptions()
+        super().__init__(options)
+
+    def _forget(self) -> None:
+        o = self.options
         self._prior = Prior(side_turn_correlation(_SIDE_TURN), _SIDE_TURN_COUNT, _SIZE_COUNT, _AXIS_COUNT)
         self._usual_sizes = np.repeat([radians(o.rotation_sd_deg), o.position_sd_m], 3)
         yaw_m, position, height = radians(o.drift_deg_m) ** 2, o.drift_m**2, (_HEIGHT_DRIFT * o.drift_m) ** 2
@@ -93,10 +96,7 @@ class DriftAware(Localiser):
         self._drift_a_second = _STANDING * self._drift_a_metre
         self._drift_a_second[3] = _STANDING_YAW * yaw_m
         self._jitter = np.diag(np.repeat([radians(_JITTER_DEG), _JITTER_M], 3) ** 2)
-        self._forget()
-
-    def _forget(self) -> None:
-        self._keyframes = Keyframes(self.options.keyframes if self._forgetful else None)
+        self._keyframes = Keyframes(o.keyframes if self._forgetful else None)
         self._covariance = self._prior.shape.copy()  # of normalised errors
         self._last: Fit | None = None
         self._known: Array | None = None  # the fit's own covariance of the newest keyframe's state
@@ -104,7 +104,7 @@ class DriftAware(Localiser):
         self._vio: tuple[int, Array] | None = None
         self._odometry_step = OdometryStep()
         # Of odometry's vertical against the map's, about its x and z (rad), and the variance an axis.
-        self._lean, self._lean_variance = np.zeros(2), radians(self.options.tilt_sd_deg) ** 2
+        self._lean, self._lean_variance = np.zeros(2), radians(o.tilt_sd_deg) ** 2
         self._quality = OdometryQuality(self._lean_variance)
         self._calibration = Calibration()
         self._along_m = 0.0  # motion since the start, turns counted in
@@ -120,9 +120,7 @@ class DriftAware(Localiser):
 
     # ------------------------------------------------------------ a frame
 
-    def _advance(
-        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None, gravity: Array | None
-    ) -> Estimate:
+    def _advance(self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None) -> Estimate:
         if vio_T_cam is None:
             self._may_be_lost |= self._vio is not None
             return self._without_odometry(map_T_cam_predicted)

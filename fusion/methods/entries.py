@@ -3,10 +3,12 @@
 from groundwalk.fusion.methods import Method
 from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.methods.error_state import ErrorState, ErrorStateOptions
-from groundwalk.fusion.methods.last_good import LastGood, LastGoodOptions
+from groundwalk.fusion.methods.last_good import LastGood
+from groundwalk.fusion.methods.localiser import MethodOptions
+from groundwalk.fusion.methods.odometry import PairOptions
 from groundwalk.fusion.methods.paper_rule import PaperRule, PaperRuleOptions
 from groundwalk.fusion.methods.pose_graph import PoseGraph, PoseGraphOptions
-from groundwalk.fusion.methods.raw import Raw, RawOptions
+from groundwalk.fusion.methods.raw import Raw
 from groundwalk.fusion.methods.smoother import Smoother
 from groundwalk.fusion.methods.vio_oracle import VioOracle, VioOracleOptions
 from groundwalk.fusion.methods.window import Window, WindowOptions
@@ -18,7 +20,7 @@ RAW = Method(
     meaning="the raw prediction",
     colour=colours.APR,
     make=Raw,
-    options=RawOptions,
+    options=MethodOptions,
     causal=True,
     fuses=False,
     visible=True,
@@ -39,7 +41,7 @@ LAST_GOOD = Method(
     meaning="the last prediction that passed the pair check, carried on",
     colour=(240, 228, 66),
     make=LastGood,
-    options=LastGoodOptions,
+    options=PairOptions,
     causal=True,
 )
 WINDOW30 = Method(

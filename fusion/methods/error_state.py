@@ -29,16 +29,14 @@ class ErrorStateOptions(OdometryOptions):
 class ErrorState(OdometryLocaliser):
     """The filter. Its state is the newest pose map_T_cam and the covariance of its error, rotation before position."""
 
-    def __init__(self, options: ErrorStateOptions | None = None) -> None:
-        super().__init__()
-        self.options: ErrorStateOptions = options or ErrorStateOptions()
-        self._limit = float(chdtri(6, 1 - self.options.gate))
-        variances = [radians(self.options.rotation_sd_deg) ** 2, self.options.position_sd_m**2]
-        self._noise = np.diag(np.repeat(variances, 3))
-        self._forget()
+    options_type = ErrorStateOptions
+    options: ErrorStateOptions
 
     def _forget(self) -> None:
         super()._forget()
+        self._limit = float(chdtri(6, 1 - self.options.gate))
+        variances = [radians(self.options.rotation_sd_deg) ** 2, self.options.position_sd_m**2]
+        self._noise = np.diag(np.repeat(variances, 3))
         self._map_T_cam: Array | None = None
         self._P = self._noise.copy()
         self._refused = 0

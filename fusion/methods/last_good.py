@@ -8,18 +8,12 @@ from groundwalk.fusion.methods.odometry import OdometryLocaliser, PairOptions, P
 from groundwalk.geometry.poses import Array, inverse
 
 
-class LastGoodOptions(PairOptions):
-    """The options of the pair check."""
-
-
 class LastGood(OdometryLocaliser):
     """Answers with predictions that are consistent with the one before, otherwise with odometry carried from the last
     of them; until there is one, with the raw prediction."""
 
-    def __init__(self, options: LastGoodOptions | None = None) -> None:
-        super().__init__()
-        self.options: LastGoodOptions = options or LastGoodOptions()
-        self._forget()
+    options_type = PairOptions
+    options: PairOptions
 
     def _forget(self) -> None:
         super()._forget()

@@ -77,15 +77,19 @@ class Localiser(ABC):
     """Turns odometry and the regressor's predictions into map poses, one frame at a time.
 
     One localiser follows one device. `step` is fed every odometry frame in order of time; frames without a prediction
-    (odometry runs at 60 Hz, a regressor at 1 Hz) pass None.
+    (odometry runs at 60 Hz, a regressor at 1 Hz) pass None. Without options it has the defaults of its own.
     """
 
+    options_type: ClassVar[type[MethodOptions]]
+    options: Any
     _not_saved: ClassVar[tuple[str, ...]] = ("options",)
     """Attributes that are no state: they follow from the options, or serve one step only."""
 
-    def __init__(self) -> None:
+    def __init__(self, options: MethodOptions | None = None) -> None:
+        self.options = options or self.options_type()
         self._t_ns: int | None = None
         self._predicted_covariance: Array | None = None  # what the frame's prediction brings, for methods that use it
+        self._forget()
 
     def step(
         self,
@@ -100,7 +104,7 @@ class Localiser(ABC):
         vio_T_cam: odometry pose (4, 4) in the session's frame, or None where tracking is lost.
         map_T_cam_predicted: predicted pose (4, 4), or None where there is none. One that isn't finite or isn't rigid is
             taken as None, and the estimate's reasons hold `prediction_invalid`.
-        gravity: unit vector (3,) pointing down, camera axes, or None.
+        gravity: unit vector (3,) pointing down, camera axes, or None; none of these methods looks at it.
         predicted_covariance: (6, 6) of the prediction's error in the map frame, rotation (rad) then translation (m), or
             None. One that isn't positive definite is taken as None, and the estimate's reasons hold
             `covariance_invalid`.
@@ -114,7 +118,7 @@ class Localiser(ABC):
         invalid = map_T_cam_predicted is not None and not is_rigid(map_T_cam_predicted)
         unsound = predicted_covariance is not None and not is_covariance(predicted_covariance)
         self._predicted_covariance = None if unsound else predicted_covariance
-        estimate = self._advance(t_ns, vio_T_cam, None if invalid else map_T_cam_predicted, gravity)
+        estimate = self._advance(t_ns, vio_T_cam, None if invalid else map_T_cam_predicted)
         self._t_ns, self._predicted_covariance = t_ns, None
         if unsound:
             estimate = estimate.because("covariance_invalid")
@@ -135,9 +139,7 @@ class Localiser(ABC):
         restore_into(self, state, self._not_saved)
 
     @abstractmethod
-    def _advance(
-        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None, gravity: Array | None
-    ) -> Estimate:
+    def _advance(self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None) -> Estimate:
         """`step` on inputs that are checked."""
 
     def _forget(self) -> None:

@@ -31,14 +31,9 @@ class OdometryLocaliser(Localiser):
     """
 
     options: OdometryOptions
+    _vio: tuple[int, Array] | None
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._vio: tuple[int, Array] | None = None
-
-    def _advance(
-        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None, gravity: Array | None
-    ) -> Estimate:
+    def _advance(self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None) -> Estimate:
         if vio_T_cam is None:
             return raw(map_T_cam_predicted, "no_odometry")
         jumped = self._vio is not None and have_jumped(

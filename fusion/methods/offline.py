@@ -1,7 +1,6 @@
 """Methods that see the whole of a walk before they answer: bounds and labels, never to be ranked with causal ones."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -19,14 +18,12 @@ class Offline(ABC):
 
 
 def stepped(localiser: Stepping, walk: Walk) -> list[Estimate]:
-    """What a localiser says to a walk's frames, one after the other, as on a device."""
-    return list(steps(localiser, walk))
-
-
-def steps(localiser: Stepping, walk: Walk) -> Iterator[Estimate]:
-    """The same, frame by frame. A `Localiser` also gets the covariances that predictions bring."""
-    for frame in frames(walk):
-        yield localiser.step(*frame) if isinstance(localiser, Localiser) else localiser.step(*frame[:4])
+    """What a localiser says to a walk's frames, one after the other, as on a device. A `Localiser` also gets the
+    covariances that predictions bring."""
+    return [
+        localiser.step(*frame) if isinstance(localiser, Localiser) else localiser.step(*frame[:4])
+        for frame in frames(walk)
+    ]
 
 
 def frames(walk: Walk) -> list[tuple[int, Array | None, Array | None, Array | None, Array | None]]:

@@ -70,10 +70,8 @@ class PaperRuleOptions(PairOptions):
 class PaperRule(OdometryLocaliser):
     """The paper's rule, one frame at a time. Frames without a prediction are carried by odometry and change nothing."""
 
-    def __init__(self, options: PaperRuleOptions | None = None) -> None:
-        super().__init__()
-        self.options: PaperRuleOptions = options or PaperRuleOptions()
-        self._forget()
+    options_type = PaperRuleOptions
+    options: PaperRuleOptions
 
     def _forget(self) -> None:
         super()._forget()
@@ -83,12 +81,10 @@ class PaperRule(OdometryLocaliser):
         self._recent: deque[Predicted] = deque(maxlen=self.options.run_frames)  # newest last
         self._map_T_vio: Array | None = None
 
-    def _advance(
-        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None, gravity: Array | None
-    ) -> Estimate:
+    def _advance(self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None) -> Estimate:
         if vio_T_cam is None:
             return Estimate(None, Status.NONE, map_T_vio=self._map_T_vio, reasons=("no_odometry",))
-        return super()._advance(t_ns, vio_T_cam, map_T_cam_predicted, gravity)
+        return super()._advance(t_ns, vio_T_cam, map_T_cam_predicted)
 
     def _fuse(self, t_ns: int, vio_T_cam: Array, map_T_cam_predicted: Array | None) -> Estimate:
         options, map_T_cam = self.options, map_T_cam_predicted

@@ -27,10 +27,8 @@ class PoseGraphOptions(OdometryOptions):
 class PoseGraph(OdometryLocaliser):
     """Answers with the newest pose of the window, carried on by odometry between predictions."""
 
-    def __init__(self, options: PoseGraphOptions | None = None) -> None:
-        super().__init__()
-        self.options: PoseGraphOptions = options or PoseGraphOptions()
-        self._forget()
+    options_type = PoseGraphOptions
+    options: PoseGraphOptions
 
     def _forget(self) -> None:
         super()._forget()

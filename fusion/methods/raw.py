@@ -4,20 +4,12 @@ from groundwalk.fusion.methods.localiser import Estimate, Localiser, MethodOptio
 from groundwalk.geometry.poses import Array
 
 
-class RawOptions(MethodOptions):
-    """The raw prediction has no options."""
-
-
 class Raw(Localiser):
     """Answers each frame with its prediction, and nothing where there is none."""
 
-    def __init__(self, options: RawOptions | None = None) -> None:
-        super().__init__()
-        self.options = options or RawOptions()
+    options_type = MethodOptions
 
-    def _advance(
-        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None, gravity: Array | None
-    ) -> Estimate:
+    def _advance(self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None) -> Estimate:
         if map_T_cam_predicted is None:
             return Estimate(None, Status.NONE, reasons=("no_prediction",))
         return Estimate(map_T_cam_predicted, Status.PREDICTED)

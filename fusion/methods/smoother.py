@@ -5,7 +5,7 @@ It is the same fit. Later predictions re-weigh earlier ones, and the alignment a
 
 from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.methods.localiser import Estimate
-from groundwalk.fusion.methods.offline import Offline, frames, steps
+from groundwalk.fusion.methods.offline import Offline, frames, stepped
 from groundwalk.fusion.walk import Walk
 
 
@@ -17,7 +17,7 @@ class Smoother(Offline):
 
     def estimates(self, walk: Walk) -> list[Estimate]:
         localiser = DriftAware(self.options, forgetful=False)
-        in_time = list(steps(localiser, walk))
+        in_time = stepped(localiser, walk)
         localiser.settle()
         late: list[Estimate] = []
         for estimate, (t_ns, vio_T_cam, predicted, _, covariance) in zip(in_time, frames(walk), strict=True):

@@ -22,10 +22,8 @@ class WindowOptions(OdometryOptions):
 class Window(OdometryLocaliser):
     """Answers with odometry carried by the alignment: least squares with outliers weighed down (Geman and McClure)."""
 
-    def __init__(self, options: WindowOptions | None = None) -> None:
-        super().__init__()
-        self.options: WindowOptions = options or WindowOptions()
-        self._forget()
+    options_type = WindowOptions
+    options: WindowOptions
 
     def _forget(self) -> None:
         super()._forget()

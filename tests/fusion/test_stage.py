@@ -1,6 +1,5 @@
 """The stage itself: a scene, and a group whose own predictions replace its members'."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -64,20 +63,6 @@ def group(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_scene_gets_all_tables_and_a_recording(tmp_path: Path) -> None:
-    inputs = scene_inputs("A", [1, 2], ("PN",))
-    frames = inputs["import", "A"]
-    # A support frame has neither ground truth nor a prediction.
-    support = frames.iloc[[0]].assign(frame_id="s1/000900", t_ns=frames["t_ns"].iloc[0] + 1, support=True)
-    inputs["import", "A"] = pd.concat([frames, support])
-    r = stage_run(tmp_path, "A", inputs)
-    STAGE.run(r)
-    for table in ("poses", "errors", "signals", "summary", "intervals", "sweep", "sessions", "methods"):
-        assert len(read_table(r.work / f"{table}.parquet", schema("fuse", table)))
-    assert (r.work / "recording.rrd").is_file()
-    assert json.loads(json.dumps(r.figures))["frames"] == 80
-
-
 def test_a_group_uses_its_own_models_and_its_members_others(group: Path) -> None:
     inputs = scene_inputs("A", [1], ("PN", "MS-T")) | scene_inputs("B", [2], ("PN", "MS-T"))
     shared = [inputs["train", scene].query("model == 'MS-T'").assign(map_cam_tx=500.0) for scene in "AB"]
@@ -89,10 +74,17 @@ def test_a_group_uses_its_own_models_and_its_members_others(group: Path) -> None
     assert worst["PN"] < 10 and worst["MS-T"] > 100
 
 
-def test_structure_localisers_are_fused_and_their_refusals_fail(tmp_path: Path) -> None:
+def test_a_scene_gets_all_tables_structure_localisers_are_fused_and_their_refusals_fail(tmp_path: Path) -> None:
     inputs = scene_inputs("A", [1, 2], ("PN",), ("Map",))
+    frames = inputs["import", "A"]
+    # A support frame has neither ground truth nor a prediction.
+    support = frames.iloc[[0]].assign(frame_id="s1/000900", t_ns=frames["t_ns"].iloc[0] + 1, support=True)
+    inputs["import", "A"] = pd.concat([frames, support])
     r = stage_run(tmp_path, "A", inputs)
     STAGE.run(r)
+    for table in ("poses", "errors", "signals", "summary", "intervals", "sweep", "sessions", "methods"):
+        assert len(read_table(r.work / f"{table}.parquet", schema("fuse", table)))
+    assert (r.work / "recording.rrd").is_file() and r.figures["frames"] == 80
     errors = read_table(r.work / "errors.parquet", schema("fuse", "errors"))
     mine = errors[(errors["model"] == "Map") & (errors["method"] == "raw")]
     assert len(mine) == 80 and mine["raw_position_m"].isna().sum() == 20

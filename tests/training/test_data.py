@@ -11,7 +11,7 @@ from groundwalk.geometry.cameras import Camera
 from groundwalk.store.images import read_image
 from groundwalk.store.resizing import pinhole_image, small_image, turned_crop
 from groundwalk.store.tables import pose_frame
-from groundwalk.training.data import ImageCache, Jitter, shift_hue
+from groundwalk.training.data import ImageCache, jittered, shift_hue
 from groundwalk.training.inputs import as_training_frames, virtual_focal
 
 K = np.array([[80.0, 0, 47.3], [0, 80.0, 36.9], [0, 0, 1]])
@@ -98,8 +98,8 @@ def test_hue_moves_around_the_colour_circle() -> None:
 
 def test_jitter_stays_in_range_and_repeats() -> None:
     image = torch.rand(3, 3, 8, 8, generator=torch.Generator().manual_seed(0))
-    first, second = (Jitter(0.5, 0.5, 0.5, 0.2).apply(image, np.random.default_rng(1)) for _ in range(2))
+    first, second = (jittered(image, (0.5, 0.5, 0.5, 0.2), np.random.default_rng(1)) for _ in range(2))
     assert torch.equal(first, second)
     assert not torch.allclose(first, image, atol=0.05)
     assert float(first.min()) >= 0 and float(first.max()) <= 1
-    assert torch.equal(Jitter(0, 0, 0, 0).apply(image, np.random.default_rng(1)), image)
+    assert torch.equal(jittered(image, (0, 0, 0, 0), np.random.default_rng(1)), image)

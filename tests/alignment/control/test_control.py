@@ -197,8 +197,8 @@ def test_a_tag_that_is_there_twice_is_named(place: tuple[Scene, Array], tmp_path
         ("point,x,y,z\na,0,0,0\n", "", "column x_m is missing"),
         ("point,x_m,y_m,z_m\na,0,0,zero\n", "", "a line isn't names and finite numbers"),
         ("point,x_m,y_m,z_m\na,0,0,0\na,1,0,0\n", "", "point are listed twice"),
-        ("point,x_m,y_m,z_m\na,0,0,0\n", "walk0/000000,b,5,5\n", "aren't any surveyed point"),
-        ("point,x_m,y_m,z_m\na,0,0,0\n", "walk9/000000,a,5,5\n", "aren't any frame_id"),
+        ("point,x_m,y_m,z_m\na,0,0,0\n", "walk0/000000,b,5,5\n", "aren't surveyed"),
+        ("point,x_m,y_m,z_m\na,0,0,0\n", "walk9/000000,a,5,5\n", "a frame that doesn't exist"),
         ("point,x_m,y_m,z_m\na,0,0,0\n", "walk0/000000,a,5,5000\n", "outside of its image"),
     ],
 )

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from groundwalk.fusion.__main__ import app
 from groundwalk.fusion.evaluation.evaluate import Results, evaluate, report_lines
+from groundwalk.fusion.evaluation.sweep import VALUES
 from groundwalk.fusion.files.parquet import Files
 from groundwalk.fusion.files.tables import evaluate_files
 from groundwalk.fusion.files.walks import Inputs, evaluated
@@ -470,14 +471,20 @@ def test_texts_may_be_dictionaries_and_ids_an_index(tmp_path: Path) -> None:
     assert len(read_table(tmp_path / "out" / "errors.parquet", schema("fuse", "errors"))) == 40
 
 
-def test_command_line(tmp_path: Path) -> None:
-    paths = [tmp_path / f"{name}.parquet" for name in ("frames", "truth", "predictions")]
-    for table, path in zip(tables([1, 2]), paths, strict=True):
-        table.drop(columns="split").to_parquet(path)
-    names = ("--frames", "--ground-truth", "--predictions")
-    arguments = [x for pair in zip(names, map(str, paths), strict=True) for x in pair]
-    done = CliRunner().invoke(app, ["evaluate", *arguments, "--out", str(tmp_path / "out")])
+@pytest.mark.parametrize(
+    ("command", "written"),
+    [
+        ("evaluate", ("poses", "errors", "signals", "summary", "intervals", "sweep", "sessions", "methods")),
+        ("sweep", ("sweep",)),
+    ],
+)
+def test_command_line(command: str, written: tuple[str, ...], tmp_path: Path) -> None:
+    files = parquet_files(tmp_path, *(table.drop(columns="split") for table in tables([1, 2])))
+    arguments = [f"--{name.replace('_', '-')}={path}" for name, path in vars(files).items()]
+    done = CliRunner().invoke(app, [command, *arguments, f"--out={tmp_path / 'out'}"])
     assert done.exit_code == 0, done.output
-    for name in ("poses", "errors", "signals", "summary", "intervals", "sweep", "sessions", "methods"):
-        assert len(read_table(tmp_path / "out" / f"{name}.parquet", schema("fuse", name)))
-    assert (tmp_path / "out" / "recording.rrd").stat().st_size > 10_000
+    found = {name: read_table(tmp_path / "out" / f"{name}.parquet", schema("fuse", name)) for name in written}
+    assert all(map(len, found.values()))
+    assert set(found["sweep"]["varied"]) == set(VALUES) and set(found["sweep"]["subset"]) == {"rp+opt", "all"}
+    picture = tmp_path / "out" / ("recording.rrd" if command == "evaluate" else "sweep.svg")
+    assert picture.stat().st_size > 10_000

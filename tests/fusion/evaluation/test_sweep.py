@@ -1,19 +1,14 @@
-"""Sweeps over the rule's thresholds: the same figures as the frame-by-frame evaluation, and a figure."""
+"""Sweeps over the rule's thresholds: the same figures as the frame-by-frame evaluation."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from groundwalk.fusion.__main__ import app
 from groundwalk.fusion.evaluation.evaluate import evaluate, joined_walks
 from groundwalk.fusion.evaluation.sweep import VALUES, around, sweep
 from groundwalk.fusion.files.walks import Inputs
 from groundwalk.fusion.methods.paper_rule import PaperRuleOptions
 from groundwalk.fusion.settings import FuseSettings
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import read_table
 from tests.fusion.tables import tables
 
 INPUTS = Inputs("Place", *tables([1, 2], ("PN", "MS-T")))
@@ -37,16 +32,3 @@ def test_one_threshold_is_changed_at_a_time() -> None:
     assert all(s.options.n == 4 for s in around(PaperRuleOptions(n=4)) if s.varied != "n")
     default = PaperRuleOptions().model_dump()
     assert all(default[name] in values for name, values in VALUES.items())
-
-
-def test_command_line(tmp_path: Path) -> None:
-    paths = [tmp_path / f"{name}.parquet" for name in ("frames", "truth", "predictions")]
-    for table, path in zip(tables([1, 2]), paths, strict=True):
-        table.to_parquet(path)
-    names = ("--frames", "--ground-truth", "--predictions")
-    arguments = [x for pair in zip(names, map(str, paths), strict=True) for x in pair]
-    done = CliRunner().invoke(app, ["sweep", *arguments, "--out", str(tmp_path / "out")])
-    assert done.exit_code == 0, done.output
-    table = read_table(tmp_path / "out" / "sweep.parquet", schema("fuse", "sweep"))
-    assert set(table["varied"]) == set(VALUES) and set(table["subset"]) == {"rp+opt", "all"}
-    assert "<svg" in (tmp_path / "out" / "sweep.svg").read_text()

@@ -26,16 +26,6 @@ def test_a_covariance_is_shrunk_as_far_as_it_is_large_beside_odometrys_drift() -
     assert np.allclose(between, (stated + sizes) / 2) and np.linalg.eigvalsh(between).min() > 0
 
 
-def test_a_full_table_drops_what_is_densest_and_keeps_the_newest_and_the_way() -> None:
-    table = Keyframes(10)
-    for i in range(200):
-        table.add(along=float(i), drift=np.full(4, 1.0), vio=[i, 0, 0], time_s=float(i), kept_odds=float(i % 7))
-    along = table.rows["along"]
-    assert len(table) == 10 and list(along[-2:]) == [198.0, 199.0] and along[0] < 100
-    assert np.all(np.diff(np.diff(along)) <= 20)
-    assert np.allclose(table.rows["drift"][1:, 0], np.diff(along))
-
-
 def test_a_way_over_dropped_keyframes_is_as_uncertain_as_the_whole_of_it() -> None:
     table, yaw = Keyframes(10), 1e-4  # a metre's variance of yaw
     for i in range(100):

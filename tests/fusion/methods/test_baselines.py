@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.methods.error_state import ErrorState, ErrorStateOptions
-from groundwalk.fusion.methods.last_good import LastGood, LastGoodOptions
+from groundwalk.fusion.methods.last_good import LastGood
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, Status
+from groundwalk.fusion.methods.odometry import PairOptions
 from groundwalk.fusion.methods.offline import Offline, stepped
 from groundwalk.fusion.methods.pose_graph import PoseGraph, PoseGraphOptions
 from groundwalk.fusion.methods.smoother import Smoother
@@ -19,8 +20,7 @@ from groundwalk.fusion.methods.window import Window, WindowOptions
 from groundwalk.geometry.fits import pose_residuals
 from groundwalk.geometry.pose_graph import smooth_chain
 from groundwalk.geometry.poses import Array, inverse, make_pose, relative, yaw_rotation
-from tests.fusion.literal_rule import pair_is_consistent
-from tests.fusion.methods.test_paper_rule import literal_frames
+from tests.fusion.literal_rule import literal_frames, pair_is_consistent
 from tests.fusion.random_walks import random_walk
 from tests.fusion.upright_walks import as_walk, upright_walk
 from tests.known import there
@@ -66,16 +66,16 @@ def test_jumps_and_lost_odometry(name: str) -> None:
 
 
 def test_last_good_is_the_last_pair_that_the_literal_check_passes() -> None:
-    options = LastGoodOptions(vio_jump_m=1e6)
+    options = PairOptions(vio_jump_m=1e6)
     for seed in range(20):
         walk = random_walk(seed)
         frames = literal_frames(walk)
         answers = stepped(LastGood(options), as_walk(walk.t_ns, walk.map_T_cam, walk.vio, walk.apr))
         last, good = None, None
         for i, frame in enumerate(frames):
-            if frame.vio is None:
+            if not frame.has_vio:
                 continue
-            if frame.apr is not None:
+            if frame.has_apr:
                 if last is not None and pair_is_consistent(frames[last], frame, options):
                     good = i
                 last = i

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from groundwalk.fusion.methods.localiser import Estimate, Status
 from groundwalk.fusion.methods.paper_rule import PaperRule, PaperRuleOptions, reference, similarity
 from groundwalk.geometry import GeometryError
-from groundwalk.geometry.poses import Array, make_pose, tq_from_pose
-from tests.fusion.literal_rule import Frame, Pose, Vector, label_walk
+from groundwalk.geometry.poses import make_pose
+from tests.fusion.literal_rule import label_walk, literal_frames
 from tests.fusion.random_walks import RandomWalk, random_walk
 from tests.known import there
 
@@ -44,16 +44,6 @@ def random_options(seed: int) -> PaperRuleOptions:
     return PaperRuleOptions(similarity_m=0.8, similarity_deg=6.0, **values)
 
 
-def literal_frames(walk: RandomWalk) -> list[Frame]:
-    def parts(pose: Array | None) -> Pose | None:
-        if pose is None:
-            return None
-        x, q = tq_from_pose(pose)
-        return tuple(x.tolist()), tuple(q.tolist())
-
-    return [Frame(t * 1e-9, parts(vio), parts(apr)) for t, vio, apr in zip(walk.t_ns, walk.vio, walk.apr, strict=True)]
-
-
 def fused(walk: RandomWalk, localiser: PaperRule) -> list[Estimate]:
     return [localiser.step(int(t), v, a) for t, v, a in zip(walk.t_ns, walk.vio, walk.apr, strict=True)]
 
@@ -62,12 +52,6 @@ def labels(walk: RandomWalk, estimates: list[Estimate]) -> list[str]:
     """What the paper counts: the status of each frame, `reliable` where a later frame confirmed it."""
     confirmed = {t for e in estimates for t, _ in e.confirms}
     return ["reliable" if t in confirmed else str(e.status) for t, e in zip(walk.t_ns, estimates, strict=True)]
-
-
-def same_pose(pose: Array, x: Vector | None, q: Vector | None) -> bool:
-    assert x is not None and q is not None
-    xyz, quaternion = tq_from_pose(pose)
-    return np.allclose(xyz, x, atol=2e-5) and bool(abs(np.dot(quaternion, q)) > 1 - 1e-9)
 
 
 @pytest.mark.parametrize("block", [*range(3), *(pytest.param(block, marks=pytest.mark.slow) for block in range(3, 10))])
@@ -86,7 +70,7 @@ def test_agrees_with_the_literal_rule(block: int) -> None:
             assert labels(walk, estimates) == [a.label for a in expected], f"seed {seed}"
             for estimate, answer in zip(estimates, expected, strict=True):
                 if estimate.map_T_cam is not None:
-                    assert same_pose(estimate.map_T_cam, answer.live_x, answer.live_q), f"seed {seed}"
+                    assert np.allclose(estimate.map_T_cam, there(answer.pose), atol=2e-5), f"seed {seed}"
             seen.update(str(e.status) for e in estimates)
             seen.update(r for e in estimates for r in e.reasons)
     assert seen >= {"reliable", "optimised", "aligning", "none"}
