@@ -154,9 +154,9 @@ def main(
         circumstances_of((row["revision"] for row in rows), (row["date"] for row in rows)),
         markdown_table(_table(rows)),
     ]
-    figures = pd.DataFrame([{"capture": r["capture"], "way told": r["way"], **f} for r in rows for f in r["figures"]])
-    figures = figures.drop(columns=["way", "subject"])
-    write_page(out, "peers", sections, [list(figures), *figures.itertuples(index=False)])
+    all_figures = [{"capture": r["capture"], "way told": r["way"], **f} for r in rows for f in r["figures"]]
+    table = pd.DataFrame(all_figures).drop(columns=["way", "subject"])
+    write_page(out, "peers", sections, [list(table), *table.itertuples(index=False)])
 
 
 if __name__ == "__main__":
