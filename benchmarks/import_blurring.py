@@ -16,7 +16,7 @@ import typer
 
 from groundwalk.capture_import.capture import ImageFile, Limits
 from groundwalk.capture_import.discovery import find_recordings
-from groundwalk.capture_import.media.blurring import Kind, PeopleDetector, Region
+from groundwalk.capture_import.media.blurring import Kind, FaceDetector, Region
 from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.store.cli import new_app
 from groundwalk.store.progress import track
@@ -69,7 +69,7 @@ def main(
     images: Annotated[int, typer.Option(help="Images looked at in each recording, spread over it.")] = 24,
 ) -> None:
     """Print the tables as Markdown."""
-    detect = PeopleDetector(face_model)
+    detect = FaceDetector(face_model)
     print("| width, px | the portrait's face found | drawn plates found |\n|---|---|---|")
     for width in WIDTHS_PX:
         faces = [is_detected(detect(picture), "face", at) for picture, at in (with_portrait(width, *p) for p in PLACES)]

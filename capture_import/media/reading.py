@@ -2,12 +2,14 @@
 
 import math
 import stat
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 import av
+import cv2
 import numpy as np
 
 from groundwalk.capture_import.capture import ImageCheck, ImageFile, Limits, RawFrame, VideoFrame
@@ -30,6 +32,9 @@ Frame = TypeVar("Frame", bound=RawFrame)
 # A sound JPEG or PNG has fewer bytes than this a pixel, and a header with metadata.
 _BYTES_A_PIXEL = 4
 _HEADER_BYTES = 1 << 20
+# Grey levels, of 255: a walk changes by up to 10 from image to image, and by 2 more than before; images of two places
+# differ by 27 and more. Several are looked at, as some videos show each image twice.
+_CUT_CHANGE, _CUT_IMAGES = 15.0, 6
 
 
 @dataclass(frozen=True)
@@ -103,16 +108,40 @@ class ImageReader:
         refs = [frame.image for frame in frames if isinstance(frame.image, VideoFrame)]
         assert len(refs) == len(frames) and len({ref.path for ref in refs}) == 1  # one video a recording
         images = decode(refs[0].path, {ref.index for ref in refs}, self.limits)
-        at, check = -1, None
+        at, check, is_cut, part = -1, None, _cuts(), 0
         for ref in refs:
             while at < ref.index and (decoded := next(images, None)) is not None:
                 at, image = decoded
+                gray = _working_gray(image)
+                part += is_cut(gray)
                 # A frame has no file to hash until it's written.
-                check = _turned(measured(_working_gray(image), image.width, image.height), frames[0].quarters)
+                check = replace(_turned(measured(gray, image.width, image.height), frames[0].quarters), part=part)
             if check is not None and at == ref.index:
                 yield check
             else:
                 yield "video frame is missing or out of order" if at > ref.index else "video ends before this frame"
+
+
+def _cuts() -> Callable[[Gray], bool]:
+    """What tells of each image (H, W) of a video, in turn, whether it's the first behind a cut.
+
+    By how much more of it changes than in the images before, as in FFmpeg's scdet: a pan or a shaking hand changes much
+    in each image. What all pixels have in common, as when a lamp is turned on, is no change.
+    """
+    before: Gray | None = None
+    changes = deque[float](maxlen=_CUT_IMAGES)
+
+    def is_cut(gray: Gray) -> bool:
+        nonlocal before
+        if before is None or before.shape != gray.shape:
+            before = gray
+            return False
+        difference = cv2.subtract(gray, before, dtype=cv2.CV_32F)
+        before = gray
+        changes.append(float(np.abs(difference - difference.mean()).mean()))
+        return len(changes) == _CUT_IMAGES and changes[-1] - max(list(changes)[:-1]) > _CUT_CHANGE
+
+    return is_cut
 
 
 def video_of(frames: Iterable[RawFrame]) -> Path | None:

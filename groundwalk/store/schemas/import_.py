@@ -31,8 +31,8 @@ frames 2.5: Images that are used, each with its intrinsics and the phone's pose:
     exposure_s (float64?, s): exposure time
     split (Split): what the frame is for; a support frame's is that of the frame of the dataset nearest in time
     support (bool): support frame: used by SfM and the checks of its model, not in the dataset
-    blurred_faces (int64?): regions blurred as faces; null: no detector ran
-    blurred_plates (int64?): regions blurred as plates; null: no detector ran
+    blurred_faces (int64?): regions blurred as faces; null: nothing looked for any
+    blurred_plates (int64?): regions blurred as plates, which `blur_boxes` lists; null as for faces
     depth (string?): depth image that shows what the image shows: path as in `image`; PNG of 16 bits, mm along the
         camera's z axis, 0: none. Null where there is none
     depth_sha256 (string?): sha256 of the depth image file; null where there is none
