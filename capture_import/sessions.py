@@ -95,15 +95,15 @@ def _by_camera(recording: Recording, frames: list[RawFrame], rejects: list[Rejec
 
 def with_numbered_cameras(of_recording: Sequence[list[Session]]) -> list[list[Session]]:
     """A capture's sessions, recording by recording, with cameras that no log names told apart by numbers: those of one
-    maker, model, lens, focal length and size are one, and each session is one where nothing states these. What a camera
-    is called in the file doesn't leave import."""
+    maker, model, lens, focal length and size are one, and each recording has its own where nothing states these. What a
+    camera is called in the file doesn't leave import."""
     numbers: dict[str, int] = {}
 
     def numbered(session: Session) -> Session:
         if session.has_poses or session.recording.device != "unknown" or not session.frames:
             return session
         name = session.frames[0].camera_name
-        key = name if name.partition("|")[0].strip() else session.session_id
+        key = name if name.partition("|")[0].strip() else f"{session.recording.recording_id}|{name}"
         device = f"camera {numbers.setdefault(key, len(numbers) + 1)}"
         return replace(session, recording=replace(session.recording, device=device))
 

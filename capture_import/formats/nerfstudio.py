@@ -61,8 +61,7 @@ def _images_of(path: Path) -> Path | None:
 
 
 def _is_log(file: Path) -> bool:
-    start = parsing.first_bytes(file)
-    return bool(start) and b'"timestamp"' not in start
+    return file.is_file() and b'"timestamp"' not in parsing.first_bytes(file)
 
 
 def detect(path: Path) -> bool:
