@@ -62,20 +62,12 @@ Detector = Callable[[NDArray[np.uint8]], list[Region]]
 
 class FaceDetector:
     """Faces by YuNet's file `face_model` (ONNX), where one is given, or by OpenCV's cascades; loaded once a thread, as
-    they can't be shared. UserError where OpenCV comes without them, or the file is none of YuNet's."""
+    they can't be shared. UserError where the file is none of YuNet's."""
 
     def __init__(self, face_model: Path | None = None) -> None:
         folder = Path(cv2.data.haarcascades)
         self._face_model = face_model
         self._paths = [] if face_model else [(folder / name, mirrored) for name, mirrored in _CASCADES]
-        if not all(path.is_file() for path, _ in self._paths):
-            raise UserError(
-                "this OpenCV comes without the detectors that blur needs",
-                expected="OpenCV 4, whose package has them",
-                found=f"OpenCV {cv2.__version__}",
-                where=folder,
-                do=f"make install, which has it, or set {setting_of('import', 'blur = false')}",
-            )
         self._of_thread = threading.local()
         if face_model is None:
             return

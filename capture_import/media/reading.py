@@ -108,12 +108,17 @@ class ImageReader:
         refs = [frame.image for frame in frames if isinstance(frame.image, VideoFrame)]
         assert len(refs) == len(frames) and len({ref.path for ref in refs}) == 1  # one video a recording
         images = decode(refs[0].path, {ref.index for ref in refs}, self.limits)
-        at, check, is_cut, part = -1, None, _cuts(), 0
+        at, check, part = -1, None, 0
+        before, changes = None, deque[float](maxlen=_CUT_IMAGES)
         for ref in refs:
             while at < ref.index and (decoded := next(images, None)) is not None:
                 at, image = decoded
                 gray = _working_gray(image)
-                part += is_cut(gray)
+                if before is not None and before.shape == gray.shape:
+                    # A pan or a shaking hand changes much in each image, a cut in one (as in FFmpeg's scdet).
+                    changes.append(_change(before, gray))
+                    part += len(changes) == _CUT_IMAGES and changes[-1] > max(list(changes)[:-1]) + _CUT_CHANGE
+                before = gray
                 # A frame has no file to hash until it's written.
                 check = replace(_turned(measured(gray, image.width, image.height), frames[0].quarters), part=part)
             if check is not None and at == ref.index:
@@ -122,26 +127,11 @@ class ImageReader:
                 yield "video frame is missing or out of order" if at > ref.index else "video ends before this frame"
 
 
-def _cuts() -> Callable[[Gray], bool]:
-    """What tells of each image (H, W) of a video, in turn, whether it's the first behind a cut.
-
-    By how much more of it changes than in the images before, as in FFmpeg's scdet: a pan or a shaking hand changes much
-    in each image. What all pixels have in common, as when a lamp is turned on, is no change.
-    """
-    before: Gray | None = None
-    changes = deque[float](maxlen=_CUT_IMAGES)
-
-    def is_cut(gray: Gray) -> bool:
-        nonlocal before
-        if before is None or before.shape != gray.shape:
-            before = gray
-            return False
-        difference = cv2.subtract(gray, before, dtype=cv2.CV_32F)
-        before = gray
-        changes.append(float(np.abs(difference - difference.mean()).mean()))
-        return len(changes) == _CUT_IMAGES and changes[-1] - max(list(changes)[:-1]) > _CUT_CHANGE
-
-    return is_cut
+def _change(before: Gray, gray: Gray) -> float:
+    """The mean change of brightness from one image (H, W) to another, but for what all pixels have in common, as when a
+    lamp is turned on."""
+    difference = cv2.subtract(gray, before, dtype=cv2.CV_32F)
+    return float(np.abs(difference - difference.mean()).mean())
 
 
 def video_of(frames: Iterable[RawFrame]) -> Path | None:

@@ -185,13 +185,6 @@ def test_the_blurring_of_a_face_is_in_the_artefact(
             assert upright.shape == (360, 480, 3) and not detect(upright)
 
 
-def test_blur_without_detectors_stops_before_any_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(6))
-    monkeypatch.setattr(cv2.data, "haarcascades", str(tmp_path))
-    with pytest.raises(UserError, match="detectors that blur needs"):
-        execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["blur=true"])
-
-
 def test_a_turn_in_a_pngs_exif_is_left_out() -> None:
     data = cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
     turned = b"MM\0*" + struct.pack(">IHHHIHHI", 8, 1, 0x0112, 3, 1, 6, 0, 0)
