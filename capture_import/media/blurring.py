@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from groundwalk.capture_import.media.images import shrunk
 from groundwalk.capture_import.media.upright import turned_pixels
-from groundwalk.capture_import.parsing import BadRow, optional_number, read_text
+from groundwalk.capture_import.parsing import BadRow, number, read_text
 from groundwalk.store import UserError
 from groundwalk.store.hints import setting_of
+from groundwalk.store.text import printable
 
 Kind = Literal["face", "plate"]
 BLURRED = "blurred.csv"
@@ -153,7 +154,7 @@ def write_boxes(file: Path, regions_of: Mapping[str, tuple[str, list[Region]]]) 
     """Write a table (CSV) of the regions of each image that was looked at, by its frame_id with its source in the
     capture: a row a region, an empty one of an image without any."""
     rows = [
-        (frame_id, source, *(region or ("",) * len(Region._fields)))
+        (frame_id, printable(source), *(region or ("",) * len(Region._fields)))
         for frame_id, (source, regions) in regions_of.items()
         for region in (regions or [None])
     ]
@@ -174,10 +175,13 @@ def read_boxes(file: Path) -> dict[str, list[Region]]:
             of_image, kind = boxes.setdefault(row["frame_id"], []), row["kind"]
             if not kind:
                 continue
-            x, y, width, height = (optional_number(row, name) or 0.0 for name in _BOX)
+            try:
+                x, y, width, height = (round(number(row, name)) for name in _BOX)
+            except (ValueError, OverflowError):
+                x = y = width = height = 0
             if kind not in kinds or min(width, height) < 1:
                 raise BadRow(f"line {table.line_num}: {', '.join(str(row[name]) for name in ('kind', *_BOX))}")
-            of_image.append(Region(kind, round(x), round(y), round(width), round(height)))
+            of_image.append(Region(kind, x, y, width, height))
     except (BadRow, csv.Error) as error:
         raise UserError(
             "the boxes to be blurred can't be read",

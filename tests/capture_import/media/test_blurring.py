@@ -146,6 +146,7 @@ def test_boxes_corrected_by_hand_are_blurred_and_no_others(tmp_path: Path) -> No
         ("frame_id,kind,x,y,width,height\na/000001,nose,1,1,5,5\n", "line 2: nose"),
         ("frame_id,kind,x,y,width,height\na/000001,face,1,1,,5\n", "line 2: face, 1, 1, , 5"),
         ("frame_id,kind,x,y,width,height\na/000001,face\n", "line 2: face, None"),
+        ("frame_id;kind;x;y;width;height\na/000001;face;1,5;1;5;5\n", "line 2: face, 1,5, 1, 5, 5"),
         ("", "no column frame_id"),
     ],
 )
