@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, cast, get_args
 
 import cv2
 import cv2.data
@@ -91,11 +91,12 @@ class FaceDetector:
                 self._of_thread.faces = cv2.FaceDetectorYN.create(str(self._face_model), "", (64, 64), *limits)
         small = shrunk(rgb, _LONG_SIDE)
         scale = rgb.shape[1] / small.shape[1]
-        found: list[tuple[float, ...]] = []
+        found: list[tuple[float, float, float, float, float]] = []
         if self._face_model:
             self._of_thread.faces.setInputSize(small.shape[1::-1])
             _, boxes = self._of_thread.faces.detect(cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
-            found = [(*box[:4], float(box[-1])) for box in (() if boxes is None else boxes)]
+            for x, y, width, height, *_, score in () if boxes is None else boxes.tolist():
+                found.append((x, y, width, height, score))
         gray = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)
         for cascade, mirrored in self._of_thread.cascades:
             for flipped in (False, True) if mirrored else (False,):
@@ -103,7 +104,10 @@ class FaceDetector:
                 boxes = cascade.detectMultiScale(image, scaleFactor=1.1, minNeighbors=_NEIGHBOURS, minSize=_MIN_SIZE)
                 for x, y, width, height in boxes:
                     found.append((gray.shape[1] - x - width if flipped else x, y, width, height, math.nan))
-        return [Region("face", *(round(float(v) * scale) for v in box), score) for *box, score in found]
+        return [
+            Region("face", round(x * scale), round(y * scale), round(width * scale), round(height * scale), score)
+            for x, y, width, height, score in found
+        ]
 
 
 @dataclass(frozen=True)
@@ -153,10 +157,11 @@ def blurred(rgb: NDArray[np.uint8], regions: Iterable[Region]) -> NDArray[np.uin
 def write_boxes(file: Path, regions_of: Mapping[str, tuple[str, list[Region]]]) -> None:
     """Write a table (CSV) of the regions of each image that was looked at, by its frame_id with its source in the
     capture: a row a region, an empty one of an image without any."""
+    no_region: list[tuple[str, ...]] = [("",) * len(Region._fields)]
     rows = [
-        (frame_id, printable(source), *(region or ("",) * len(Region._fields)))
+        (frame_id, printable(source), *region)
         for frame_id, (source, regions) in regions_of.items()
-        for region in (regions or [None])
+        for region in (regions or no_region)
     ]
     pd.DataFrame(rows, columns=["frame_id", "source", *Region._fields]).to_csv(file, index=False)
 
@@ -181,7 +186,7 @@ def read_boxes(file: Path) -> dict[str, list[Region]]:
                 x = y = width = height = 0
             if kind not in kinds or min(width, height) < 1:
                 raise BadRow(f"line {table.line_num}: {', '.join(str(row[name]) for name in ('kind', *_BOX))}")
-            of_image.append(Region(kind, x, y, width, height))
+            of_image.append(Region(cast(Kind, kind), x, y, width, height))
     except (BadRow, csv.Error) as error:
         raise UserError(
             "the boxes to be blurred can't be read",
