@@ -12,6 +12,7 @@ The poses are a reference, not VIO.
 """
 
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 
@@ -25,6 +26,8 @@ from groundwalk.store import UserError
 
 _FILE = "poses_bounds.npy"
 _NUMBERS = 17
+# What NumPy raises of a damaged header, which it reads as Python.
+_BROKEN = (ValueError, OSError, EOFError, SyntaxError, TokenError, TypeError, OverflowError, RecursionError)
 
 
 def read(path: Path, limits: Limits) -> Recording:
@@ -35,7 +38,7 @@ def read(path: Path, limits: Limits) -> Recording:
         stored = np.load(file, mmap_mode="r", allow_pickle=False)
         if stored.dtype.kind != "f" or stored.shape[1:] != (_NUMBERS,) or len(stored) > limits.max_rows:
             raise ValueError(f"{stored.dtype} of shape {stored.shape}")
-    except (ValueError, OSError, EOFError, SyntaxError) as error:
+    except _BROKEN as error:
         expected = f"an array of {_NUMBERS} numbers for each image"
         raise UserError(
             "a log can't be read", where=file, found=str(error).split("\n")[0][:200], expected=expected
@@ -57,6 +60,8 @@ def read(path: Path, limits: Limits) -> Recording:
 
 def _row(row: Array) -> tuple[Array, Intrinsics]:
     matrix = row[:15].reshape(3, 5)
+    if not (np.abs(matrix) < 1e100).all():
+        raise parsing.BadRow("row has a value that isn't finite or is too large")
     down, right, back, position, size = matrix.T
     height, width, f = size.tolist()
     camera = Intrinsics(f, f, width / 2, height / 2, parsing.to_pixels(width), parsing.to_pixels(height))
