@@ -187,7 +187,7 @@ class Recording:
 @dataclass(frozen=True)
 class ImageCheck:
     """Size, sharpness, contrast (standard deviation of grey levels, of 255) and hashes of an image: of its file, and of
-    that without metadata. A video's frame has no hash."""
+    that without metadata. A video's frame has no hash; `part` is how many cuts are before it."""
 
     width: int
     height: int
@@ -195,6 +195,7 @@ class ImageCheck:
     contrast: float
     sha256: str
     content_sha256: str
+    part: int = 0
 
 
 @dataclass(frozen=True)
@@ -225,7 +226,7 @@ class Jump:
 
 @dataclass(frozen=True)
 class Session:
-    """A recording, or the part of one between two large jumps of its odometry, or of one camera of several.
+    """A recording, or the part of one between two large jumps of its odometry or two cuts, or of one camera of several.
 
     `frames` are all rows with a sound pose (all rows where none has one), in time order, those with a sound image as
     `Image`; `rejects` the other rows and images of the recording that fall into it.

@@ -1,6 +1,7 @@
 """Data sets with one file of poses over folders of images, each of which is a recording."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -18,6 +19,8 @@ Row = TypeVar("Row")
 
 GUESS_SD = 0.5
 """Of a guessed focal length, as a fraction: phones' are 0.7 to 0.9 of the longer side, other cameras' 1 to 3."""
+NO_DISTORTION = (0.0,) * 4
+"""Stated to be none: of images that were undistorted, or drawn."""
 # How far below a data set's folder of images a recording's may lie.
 _MAX_DEPTH = 3
 
@@ -90,19 +93,22 @@ def read_reference(
     with the pose and camera that `read` gives, which may raise BadRow. `tested`: the images that the data set names for
     testing, empty where it has no split.
 
-    The unit and up of its world are known of groundwalk's own exports alone."""
+    The unit and up of its world are known of groundwalk's own exports alone, whose cameras state all distortion."""
     own = [(source, (image, row)) for source, image, row in rows if path in (data_set, image.parent)]
     own.sort(key=lambda of_one: natural_order(of_one[1][0].as_posix()))
     if lost := [source for source, image, _ in rows if not image.parent.is_dir()]:
         notes = [f"{len(lost)} rows name images in missing folders, such as {lost[0]}", *notes]
 
+    ours, is_metric = bool(export_world(data_set)), is_metric_export(data_set)
+
     def read_row(place: int, row: tuple[Path, Row]) -> RawFrame:
         pose, camera = read(*row)
+        if ours and not camera.distortion:
+            camera = replace(camera, distortion=NO_DISTORTION)
         split = (SessionSplit.TEST if row[0] in tested else SessionSplit.TRAIN) if tested else None
         return RawFrame(seconds_to_ns(place), pose, ImageFile(row[0]), camera, split=split)
 
     frames, rejects = read_rows(own, read_row)
-    ours = is_metric_export(data_set)
     return Recording(
         "unknown",
         Clock.NAME_ORDER,
@@ -110,16 +116,21 @@ def read_reference(
         frames,
         rejects,
         pose_source=PoseSource.REFERENCE,
-        is_gravity_aligned=ours,
-        is_metric=ours,
+        is_gravity_aligned=is_metric,
+        is_metric=is_metric,
         notes=notes,
     )
 
 
 def is_metric_export(data_set: Path) -> bool:
-    """Whether it's an export of groundwalk, whose world is metric with +y up; other files of these kinds state no
+    """Whether it's an export of groundwalk whose world is metric with +y up."""
+    return export_world(data_set).startswith("metres, +y up")
+
+
+def export_world(data_set: Path) -> str:
+    """What an export of groundwalk says of its world; empty where it is none: other files of these kinds state no
     unit."""
-    return str(read_json(data_set / EXPORT_NOTE).get("map", "")).startswith("metres, +y up")
+    return str(read_json(data_set / EXPORT_NOTE).get("map", ""))
 
 
 def _nested(data_set: Path, images: Path) -> bool:

@@ -7,12 +7,12 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="import",
-    version=24,
+    version=25,
     settings=ImportSettings,
     needs=(),
     run=Lazy("groundwalk.capture_import.stage:run"),
     help="Import: phone captures to frames with intrinsics and VIO poses.",
     reads_captures=True,
-    files=lambda settings: [settings.face_model] if settings.blur and settings.face_model else [],
+    files=lambda settings: [f for f in (settings.face_model if settings.blur else "", settings.blur_boxes) if f],
     plugins=lambda settings: FORMATS.versions(None if settings.format == "auto" else [settings.format]),
 )

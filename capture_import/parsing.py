@@ -1,5 +1,6 @@
 """Typed reading of unchecked logs: lines, JSON, numbers, poses and paths, with one exception for what is wrong."""
 
+import codecs
 import functools
 import json
 import math
@@ -27,6 +28,7 @@ YUP_T_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
 MAX_NS = 2**62  # so that times can be subtracted
 _CAMERA, _SIZE = ("fx", "fy", "cx", "cy"), ("width", "height")
 _MAX_LINE = 1 << 20
+_UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _MAX_SMALL_FILE = 1 << 20
 _FISHEYE_TOLERANCE_PX = 0.05
 _NOT_UTF8 = "\N{REPLACEMENT CHARACTER}"  # stands for bytes that aren't: they cost what they are in, not the whole log
@@ -102,23 +104,30 @@ def join_by_time(poses: Sequence[RawFrame], images: Sequence[RawFrame]) -> list[
 
 
 def read_text(path: Path, max_bytes: int = _MAX_SMALL_FILE) -> str:
-    """A text file in UTF-8; BadRow where it's missing, unreadable or larger than the limit."""
+    """A text file in UTF-8 or UTF-16; BadRow where it's missing, unreadable or larger than the limit."""
     try:
         _refuse_odd_file(path, max_bytes)
-        return path.read_text(encoding="utf-8-sig", errors="replace")
+        return path.read_text(encoding=_encoding(path), errors="replace")
     except OSError as error:
         raise BadRow(f"{path.name} can't be read: {error.strerror}") from None
 
 
+def _encoding(path: Path) -> str:
+    """UTF-16 where the file begins with its mark, as PowerShell writes text, or else UTF-8."""
+    with path.open("rb") as file:
+        return "utf-16" if file.read(2) in _UTF16_MARKS else "utf-8-sig"
+
+
 def first_bytes(path: Path, count: int = 1 << 16) -> bytes:
-    """The beginning of a file; nothing where it's no ordinary file or can't be read."""
+    """The beginning of a file, text as UTF-8; nothing where it's no ordinary file or can't be read."""
     try:
         if not path.is_file():
             return b""
         with path.open("rb") as file:
-            return file.read(count)
+            start = file.read(count)
     except OSError:
         return b""
+    return start.decode("utf-16", "ignore").encode() if start[:2] in _UTF16_MARKS else start
 
 
 def lines_of(path: Path, limits: Limits, is_row: Callable[[str], bool] = lambda line: True) -> list[tuple[str, str]]:
@@ -142,7 +151,7 @@ def numbered_lines(path: Path, limits: Limits) -> Iterator[tuple[int, str]]:
     the file or a line is larger than the limits."""
     try:
         _refuse_odd_file(path, limits.max_text_bytes)
-        with path.open(encoding="utf-8-sig", errors="replace") as file:
+        with path.open(encoding=_encoding(path), errors="replace") as file:
             for number, line in enumerate(iter(lambda: file.readline(_MAX_LINE + 1), ""), start=1):
                 if len(line) > _MAX_LINE:
                     raise BadRow(f"line {number} is longer than {_MAX_LINE} characters")
@@ -180,6 +189,8 @@ def parse_json(text: str) -> dict[str, Any]:
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
+        if not text.strip():
+            raise BadRow("file is empty") from None
         reason = str(error).split("\n")[0][:80] or "nested too deep"
         raise BadRow(f"file isn't {'UTF-8 text' if _NOT_UTF8 in text else f'JSON: {reason}'}") from None
     if not isinstance(content, dict):
@@ -261,7 +272,8 @@ def to_number(value: Any, name: str) -> float:
     try:
         return float(value)
     except (ValueError, OverflowError):
-        raise BadRow(f"{name} is no number") from None
+        comma = isinstance(value, str) and re.fullmatch(r"[-+]?\d+,\d+(e[-+]?\d+)?", value, re.IGNORECASE)
+        raise BadRow(f"{name} is no number{': it has a comma for a decimal point' if comma else ''}") from None
 
 
 def to_pixels(value: float) -> int:

@@ -1,8 +1,8 @@
-"""From a recording as the phone wrote it to sessions of sound rows, cut at large VIO jumps, or by camera."""
+"""From a recording as the phone wrote it to sessions of sound rows: by large VIO jumps, a video's cuts, or camera."""
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -23,6 +23,7 @@ from groundwalk.capture_import.checks.jumps import find_jumps
 from groundwalk.capture_import.checks.rows import check_rows
 from groundwalk.capture_import.media.images import exif_orientation
 from groundwalk.store.choices import PoseSource, SessionSplit
+from groundwalk.store.text import name_list
 
 # Grey levels, of 255: a covered lens with a sensor's noise has 0 to 1, a dim or dull view 30 and more.
 _MIN_CONTRAST = 2.0
@@ -36,7 +37,7 @@ def sound_sessions(
     min_relative_sharpness: float,
 ) -> list[Session]:
     """Check a recording's rows and images, find its jumps, and cut it at the large ones: one session at least. Where
-    it has no poses, each of its cameras has a session.
+    it has no poses, each of its cameras, or part of a video between cuts, has a session.
 
     `check_images` gives for each of the given frames what was measured of its image, or why it can't be used. One less
     sharp than `min_relative_sharpness` of the median is rejected.
@@ -67,15 +68,46 @@ def sound_sessions(
 
 
 def _by_camera(recording: Recording, frames: list[RawFrame], rejects: list[Reject]) -> list[Session]:
-    """A session a camera, in order of their first images; rejects are of the first one. What a camera is called in the
-    file doesn't leave import."""
-    sessions = []
-    for place, camera in enumerate(dict.fromkeys([frame.camera_name for frame in frames] or [""])):
-        device = f"camera {place + 1}" if recording.device == "unknown" else recording.device
-        name = recording.recording_id + (f".camera{place + 1}" if place else "")
-        own = [frame for frame in frames if frame.camera_name == camera]
-        sessions.append(Session(name, replace(recording, device=device), own, [], [] if place else rejects))
-    return sessions
+    """A session a camera, in order of their first images, or a part of a video between cuts; rejects are of the first
+    one."""
+    of_session: dict[tuple[str, int], list[RawFrame]] = {}
+    starts_s, part = list[float](), 0
+    for frame in frames:
+        if isinstance(frame, Image) and frame.check.part != part:
+            part = frame.check.part
+            starts_s.append((frame.t_ns - frames[0].t_ns) * 1e-9)
+        of_session.setdefault((frame.camera_name, part), []).append(frame)
+    if starts_s:
+        cuts = name_list([f"{start_s:.1f} s" for start_s in starts_s], 8)
+        note = f"the video has {len(starts_s)} cuts, at {cuts}: each part is a session of its own"
+        recording = replace(recording, notes=[*recording.notes, note])
+    return [
+        Session(
+            recording.recording_id + (f".{'part' if part else 'camera'}{place + 1}" if place else ""),
+            recording,
+            own,
+            [],
+            [] if place else rejects,
+        )
+        for place, ((_, part), own) in enumerate((of_session or {("", 0): []}).items())
+    ]
+
+
+def with_numbered_cameras(of_recording: Sequence[list[Session]]) -> list[list[Session]]:
+    """A capture's sessions, recording by recording, with cameras that no log names told apart by numbers: those of one
+    maker, model, lens, focal length and size are one, and each recording has its own where nothing states these. What a
+    camera is called in the file doesn't leave import."""
+    numbers: dict[str, int] = {}
+
+    def numbered(session: Session) -> Session:
+        if session.has_poses or session.recording.device != "unknown" or not session.frames:
+            return session
+        name = session.frames[0].camera_name
+        key = name if name.partition("|")[0].strip() else f"{session.recording.recording_id}|{name}"
+        device = f"camera {numbers.setdefault(key, len(numbers) + 1)}"
+        return replace(session, recording=replace(session.recording, device=device))
+
+    return [[numbered(session) for session in sessions] for sessions in of_recording]
 
 
 def path_length(session: Session, reference_is_metric: bool) -> float:

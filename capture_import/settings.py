@@ -34,11 +34,16 @@ class ImportSettings(Settings):
         description="side of the images, as captured, that the sensor reads out first (rolling shutter); auto: what "
         "the capture states, or else top, and right of images higher than wide",
     )
-    blur: bool = Field(False, description="make faces and licence plates that a detector finds unrecognisable")
+    blur: bool = Field(False, description="make faces that a detector finds unrecognisable")
     face_model: str = Field(
         "",
         description="blur: YuNet's ONNX file, relative to the data folder, which finds faces far better than OpenCV's "
         "own detectors (docs/how-to/blur-faces.md); empty: those",
+    )
+    blur_boxes: str = Field(
+        "",
+        description="a table (CSV, relative to the data folder) of what to blur, as import writes it to blurred.csv: "
+        "images that it lists are blurred there and nowhere else",
     )
     gps: bool = Field(
         False,

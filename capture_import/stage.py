@@ -4,7 +4,7 @@ import dataclasses
 import json
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,7 +19,7 @@ from groundwalk.capture_import.checks.near_copies import MAX_FRACTION, find_near
 from groundwalk.capture_import.checks.plausibility import MAX_SPEED_M_S, plausibility_faults
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.held import held_frames
-from groundwalk.capture_import.media.blurring import PeopleDetector
+from groundwalk.capture_import.media.blurring import BLURRED, Blurring, FaceDetector, Region, read_boxes, write_boxes
 from groundwalk.capture_import.media.depth import place_depths
 from groundwalk.capture_import.media.placing import Placement, place_images
 from groundwalk.capture_import.media.reading import ImageReader
@@ -27,7 +27,7 @@ from groundwalk.capture_import.media.upright import quarters_to_upright
 from groundwalk.capture_import.origin import describe_origin, far_origin, moved
 from groundwalk.capture_import.recording import blueprint, log_session
 from groundwalk.capture_import.sampling import select_enough
-from groundwalk.capture_import.sessions import sound_sessions
+from groundwalk.capture_import.sessions import sound_sessions, with_numbered_cameras
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.splits import LEAK_S, SplitResult, nearest_split, refuse_lists, split_frames
 from groundwalk.store import StageRun, UserError
@@ -43,7 +43,9 @@ def run(r: StageRun[ImportSettings]) -> None:
     """Import the scene's captures."""
     settings, root = r.settings, r.captures.resolve()
     face_model = r.data.root / settings.face_model if settings.face_model else None
-    detect = PeopleDetector(face_model) if settings.blur else None  # before images are read, as one may be missing
+    # Before images are read, as one may be missing.
+    boxes = read_boxes(r.data.root / settings.blur_boxes) if settings.blur_boxes else {}
+    blurring = Blurring(FaceDetector(face_model) if settings.blur else None, boxes)
     unpacked = r.scratch / "unpacked"
     reader = ImageReader([root, unpacked.resolve()], settings.limits)
     with r.step("images"):
@@ -59,6 +61,7 @@ def run(r: StageRun[ImportSettings]) -> None:
                 line = f"{sessions[0].recording.recording_id}: gravity {check.line}"
                 r.say(line if check.is_aligned else f"warning: {line}; {STATE_GRAVITY}")
             of_recording[i] = with_gravity(sessions, check)
+    of_recording = with_numbered_cameras(of_recording)
     if settings.check_convention:
         with r.step("poses against images"):
             _check_poses(r, of_recording, reader)
@@ -74,14 +77,19 @@ def run(r: StageRun[ImportSettings]) -> None:
         selection_of, denser = select_enough(sessions, settings)
         if denser is not None:
             r.say(denser)
-        of_session = []
+        of_session, regions_of = [], dict[str, tuple[str, list[Region]]]()
         for i, session in enumerate(sessions):
             selection = selection_of[session.session_id]
             if not selection.images:
                 continue
             copies = settings.images == "copy"
             where = Placement(root, r.work, session.session_id, copies, reader)
-            places = place_images(selection.images, where, detect, quarters_to_upright(session))
+            places = place_images(selection.images, where, blurring, quarters_to_upright(session))
+            regions_of |= {
+                session.frame_id(image.number): (image.source, place.regions)
+                for image, place in zip(selection.images, places, strict=True)
+                if place.regions is not None
+            }
             depths, rejects = place_depths(selection.images, where)
             sessions[i] = dataclasses.replace(session, rejects=[*session.rejects, *rejects])
             of_session.append(tables.frames_table(session, selection, places, depths, settings.first_row))
@@ -108,15 +116,7 @@ def run(r: StageRun[ImportSettings]) -> None:
     _report(r, sessions, frames, session_rows, split)
     with r.step("near copies"):
         _report_near_copies(r, sessions, frames, reader)
-    if detect is not None:
-        counts = frames[["blurred_faces", "blurred_plates"]]
-        faces, plates, images = (int(n) for n in (*counts.sum(), (counts.sum(axis=1) > 0).sum()))
-        r.say(
-            f"blurred {faces} faces and {plates} plates in {images} of {len(frames)} images; detectors miss some: look "
-            "before you publish"
-        )
-        for name, count in (("images", images), ("faces", faces), ("plates", plates)):
-            r.figure(f"blurred_{name}", count)
+    _report_blurring(r, frames, regions_of, boxes.keys())
     with r.step("recording"), r.recording(blueprint([session.session_id for session in sessions])) as stream:
         for session in r.track(sessions, "writing the recording"):
             log_session(stream, session, frames_of[session.session_id], lambda image: image_file(image, root, r.work))
@@ -294,6 +294,29 @@ def _report(
     }
     for name, value in figures.items():
         r.figure(name, value)
+
+
+def _report_blurring(
+    r: StageRun[ImportSettings],
+    frames: pd.DataFrame,
+    regions_of: Mapping[str, tuple[str, list[Region]]],
+    listed: Set[str],
+) -> None:
+    """Write and say what was blurred, where something was looked for; `listed` are the images that the user names."""
+    used = set(frames["frame_id"])
+    regions_of = {frame_id: found for frame_id, found in regions_of.items() if frame_id in used}
+    if regions_of or r.settings.blur:
+        write_boxes(r.work / BLURRED, regions_of)
+        images = sum(bool(regions) for _, regions in regions_of.values())
+        counts = {kind: int(frames[f"blurred_{kind}"].sum()) for kind in ("faces", "plates")}
+        r.say(
+            f"blurred {counts['faces']} faces and {counts['plates']} plates in {images} of {len(frames)} images, which "
+            f"{BLURRED} lists; detectors miss some faces and look for no plates: look before you publish"
+        )
+        for name, count in (("images", images), *counts.items()):
+            r.figure(f"blurred_{name}", count)
+    if unused := sorted(listed - used):
+        r.say(f"warning: {len(unused)} images of {r.settings.blur_boxes} aren't among the frames, such as {unused[0]}")
 
 
 def _report_near_copies(

@@ -3,12 +3,12 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from groundwalk.capture_import.capture import GpsFix, Session, poses_of
+from groundwalk.capture_import.media.placing import Placed
 from groundwalk.capture_import.sampling import Selection
 from groundwalk.capture_import.sessions import duration, path_length
 from groundwalk.geometry.gravity import gravity_in_camera
@@ -25,7 +25,7 @@ _ORIGIN = ("reference_origin_x", "reference_origin_y", "reference_origin_z")
 def frames_table(
     session: Session,
     used: Selection,
-    places: Sequence[Mapping[str, Any]],
+    places: Sequence[Placed],
     depths: Sequence[Mapping[str, str]],
     first_row: str,
 ) -> pd.DataFrame:
@@ -45,8 +45,8 @@ def frames_table(
                 "stated_split": image.split or raw.split,
                 "t_ns": image.t_ns,
                 "clock": raw.clock,
-                **place,
-                "content_sha256": check.content_sha256 or place["image_sha256"],
+                **place.columns,
+                "content_sha256": check.content_sha256 or place.columns["image_sha256"],
                 "width": check.width,
                 "height": check.height,
                 "fx": camera.fx,

@@ -214,7 +214,7 @@ def _people(dataset: Dataset) -> str:
     faces, plates = (int(dataset.frames[name].sum()) for name in ("blurred_faces", "blurred_plates"))
     unblurred = f" {int((~looked).sum())} images were not searched." if not looked.all() else ""
     return (
-        f"{faces} faces and {plates} licence plates were found by detectors and blurred; detectors miss some."
+        f"{faces} faces and {plates} licence plates were blurred; detectors miss some faces, and look for no plates."
         f"{unblurred}"
     )
 

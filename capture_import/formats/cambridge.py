@@ -19,7 +19,7 @@ from pathlib import Path
 
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
-from groundwalk.capture_import.data_sets import size_of
+from groundwalk.capture_import.data_sets import NO_DISTORTION, size_of
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import is_image
 from groundwalk.geometry.poses import make_pose
@@ -108,7 +108,8 @@ def _intrinsics(file: Path, folder: str, limits: Limits) -> dict[str, Intrinsics
     try:
         return {
             row["image"]: replace(
-                parsing.intrinsics(row), distortion=tuple(parsing.split_numbers(row["distortion"] or ""))
+                parsing.intrinsics(row),
+                distortion=tuple(parsing.split_numbers(row["distortion"] or "")) or NO_DISTORTION,
             )
             for row in rows
             if row["image"]

@@ -39,6 +39,7 @@ import numpy as np
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import Intrinsics, Limits, Recording
 from groundwalk.capture_import.data_sets import (
+    NO_DISTORTION,
     data_set_of,
     is_metric_export,
     read_reference,
@@ -207,7 +208,7 @@ def read(path: Path, limits: Limits) -> Recording:
             raise parsing.BadRow("pose has a value that isn't finite or is too large")
         stated = _intrinsics(camera)
         if is_undistorted and not stated.distortion:
-            stated = replace(stated, distortion=(0.0,) * 4)
+            stated = replace(stated, distortion=NO_DISTORTION)
         return inverse(cam_T_world), stated
 
     return read_reference(path, folder, rows, read_row, tested, notes)

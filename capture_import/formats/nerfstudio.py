@@ -8,6 +8,7 @@ Documented at https://docs.nerf.studio/quickstart/data_conventions.html. What ma
   that an export of ours comes back with +y up;
 - intrinsics are at the top or, going before these, each frame's own: fl_x, fl_y, cx, cy, w, h, and OpenCV's k1, k2, k3,
   p1, p2, or a matrix `K`; `camera_model` is OPENCV, PINHOLE or OPENCV_FISHEYE with k1 to k4 (others are refused);
+- PINHOLE states that there is no distortion; zeros of OPENCV, which tools write of phones' images, too, state nothing;
 - nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
 - intrinsics that are missing: `camera_angle_x` gives the focal length, the middle of the image the principal point, the
   image its size (instant-ngp's files and NeRF's synthetic scenes);
@@ -29,6 +30,7 @@ import numpy as np
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import Intrinsics, Limits, Recording, Reject
 from groundwalk.capture_import.data_sets import (
+    NO_DISTORTION,
     data_set_of,
     read_reference,
     size_of,
@@ -59,8 +61,7 @@ def _images_of(path: Path) -> Path | None:
 
 
 def _is_log(file: Path) -> bool:
-    start = parsing.first_bytes(file)
-    return bool(start) and b'"timestamp"' not in start
+    return file.is_file() and b'"timestamp"' not in parsing.first_bytes(file)
 
 
 def detect(path: Path) -> bool:
@@ -179,6 +180,8 @@ def _intrinsics(row: dict[str, Any], image: Path) -> Intrinsics:
         raise parsing.BadRow("distortion k4 has no place in OpenCV's model of k1, k2, p1, p2, k3")
     distortion = _coefficients(row, _DISTORTION)
     known = distortion if model == "OPENCV" and any(distortion) else ()
+    if model == "PINHOLE" and not any(distortion):
+        known = NO_DISTORTION
     return Intrinsics(fx, fy, cx, cy, *stated, known)
 
 

@@ -7,7 +7,8 @@ Documented at https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-s
 - frames have no times; the camera took 30 a second (of an export of ours, which numbers its frames anew, nothing is
   known);
 - the colour camera wasn't calibrated; its nominal focal length is 525 px with the centre in the middle; where
-  `frame-000000.intrinsics.txt` lies beside (a 3x3 matrix; our own export writes it), that is used;
+  `frame-000000.intrinsics.txt` lies beside (a 3x3 matrix; our own export writes it, of images without distortion), that
+  is used;
 - `frame-000000.depth.png` is the depth camera's, some centimetres beside the colour camera: it isn't read;
 - `TrainSplit.txt` and `TestSplit.txt` beside the sequences say which is for what.
 """
@@ -17,10 +18,10 @@ from pathlib import Path
 
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import.data_sets import NO_DISTORTION, export_world
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in
 from groundwalk.store.choices import Clock, PoseSource, SessionSplit
-from groundwalk.store.simulated import EXPORT_NOTE
 
 _POSE = re.compile(r"frame-(\d{6})\.pose\.txt")
 _FRAMES_A_SECOND = 30.0
@@ -31,6 +32,7 @@ def read(path: Path, limits: Limits) -> Recording:
     """Read the poses and join the colour images by number."""
     files = sorted((int(m[1]), p) for p in path.iterdir() if (m := _POSE.fullmatch(p.name)))
     image_of = by_stem(images_in(path))
+    ours = bool(export_world(path.parent))
 
     def read_row(_: int, numbered_file: tuple[int, Path]) -> RawFrame:
         number, file = numbered_file
@@ -39,7 +41,7 @@ def read(path: Path, limits: Limits) -> Recording:
             parsing.seconds_to_ns(number / _FRAMES_A_SECOND),
             parsing.row_major_pose(parsing.split_numbers(parsing.read_text(file), 16)),
             ImageFile(image) if image else None,
-            _camera(path / f"frame-{number:06d}.intrinsics.txt"),
+            _camera(path / f"frame-{number:06d}.intrinsics.txt", NO_DISTORTION if ours else ()),
             number=number,
         )
 
@@ -53,7 +55,7 @@ def read(path: Path, limits: Limits) -> Recording:
         notes.append("nominal intrinsics: the colour camera wasn't calibrated")
     return Recording(
         "Kinect",
-        Clock.NAME_ORDER if (path.parent / EXPORT_NOTE).is_file() else Clock.FRAME_INDEX,
+        Clock.NAME_ORDER if ours else Clock.FRAME_INDEX,
         path,
         frames,
         rejects,
@@ -64,11 +66,11 @@ def read(path: Path, limits: Limits) -> Recording:
     )
 
 
-def _camera(file: Path) -> Intrinsics:
+def _camera(file: Path, distortion: tuple[float, ...]) -> Intrinsics:
     if not file.exists():
         return _CAMERA
     fx, _, cx, _, fy, cy, *_ = parsing.split_numbers(parsing.read_text(file), 9)
-    return Intrinsics(fx, fy, cx, cy)
+    return Intrinsics(fx, fy, cx, cy, distortion=distortion)
 
 
 def _split(path: Path) -> SessionSplit | None:

@@ -46,7 +46,10 @@ def read(path: Path, limits: Limits) -> Recording:
     names = [name.strip() for name in header[1].split(",")]
     if missing := [name for name in _COLUMNS if name not in names]:
         raise UserError(
-            "odometry.csv lacks columns", where=path, expected=", ".join(_COLUMNS), found=f"no {', '.join(missing)}"
+            "odometry.csv lacks columns",
+            where=path,
+            expected=f"{', '.join(_COLUMNS)}, parted by commas",
+            found=f"no {', '.join(missing)}; its first line: {header[1][:80] or 'empty'}",
         )
     shared = None if set(_PER_FRAME) <= set(names) else _camera_matrix(path / "camera_matrix.csv")
 

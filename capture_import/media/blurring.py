@@ -1,78 +1,74 @@
-"""Faces and licence plates: detected, and made unrecognisable before an image goes anywhere.
+"""Faces, and whatever else a user names: made unrecognisable before an image goes anywhere.
 
 Faces are found by YuNet (W. Wu, H. Peng and S. Yu, "YuNet: A Tiny Millisecond-level Face Detector", Machine
 Intelligence Research 2023), whose file comes with no package and which a setting names, or else by the boosted cascades
 that OpenCV 4 has in its package (P. Viola and M. Jones, "Rapid object detection using a boosted cascade of simple
-features", CVPR 2001; OpenCV 5 left them out), as plates are. Cascades detect frontal and side faces and plates of
-European form.
+features", CVPR 2001; OpenCV 5 left them out), which detect frontal and side faces.
 """
 
+import csv
+import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple, cast, get_args
 
 import cv2
 import cv2.data
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.capture_import.media.images import shrunk
 from groundwalk.capture_import.media.upright import turned_pixels
+from groundwalk.capture_import.parsing import BadRow, number, read_text
 from groundwalk.store import UserError
 from groundwalk.store.hints import setting_of
+from groundwalk.store.text import printable
 
 Kind = Literal["face", "plate"]
+BLURRED = "blurred.csv"
+"""In import's artefact: what was blurred."""
 
 # Cascade, and whether its mirror image is detected as well.
-_CASCADES: tuple[tuple[Kind, str, bool], ...] = (
-    ("face", "haarcascade_frontalface_default.xml", False),
-    ("face", "haarcascade_profileface.xml", True),
-    ("plate", "haarcascade_russian_plate_number.xml", False),
-)
-_MIN_SIZE: dict[Kind, tuple[int, int]] = {"face": (24, 24), "plate": (60, 12)}
+_CASCADES = (("haarcascade_frontalface_default.xml", False), ("haarcascade_profileface.xml", True))
+_MIN_SIZE = (24, 24)
 _LONG_SIDE = 1920
 # Detections that must agree: few, as a face that is missed costs more than a wall that is blurred.
 _NEIGHBOURS = 3
 # A region is widened by this fraction on every side, and has so many colours across afterwards.
 _MARGIN = 0.2
+_CELLS = 5
 # YuNet: its certainty from which a region counts, the overlap of two that are one, and their largest number.
 _FACE_SCORE, _FACE_OVERLAP, _MAX_FACES = 0.6, 0.3, 5000
-_CELLS = 5
+_BOX = ("x", "y", "width", "height")
+_MAX_BYTES = 1 << 26
 
 
 class Region(NamedTuple):
-    """A rectangle of an image, in pixels."""
+    """A rectangle of an image, in pixels, and the detector's certainty, NaN where it states none."""
 
     kind: Kind
     x: int
     y: int
     width: int
     height: int
+    score: float = math.nan
 
 
 # Detects regions in an upright image (H, W, 3) in RGB.
 Detector = Callable[[NDArray[np.uint8]], list[Region]]
 
 
-class PeopleDetector:
-    """Faces by YuNet's file `face_model` (ONNX), where one is given, all else by OpenCV's cascades; loaded once a
-    thread, as they can't be shared. UserError where OpenCV comes without them, or the file is none of YuNet's."""
+class FaceDetector:
+    """Faces by YuNet's file `face_model` (ONNX), where one is given, or by OpenCV's cascades; loaded once a thread, as
+    they can't be shared. UserError where the file is none of YuNet's."""
 
     def __init__(self, face_model: Path | None = None) -> None:
         folder = Path(cv2.data.haarcascades)
         self._face_model = face_model
-        self._paths = [
-            (kind, folder / name, mirrored) for kind, name, mirrored in _CASCADES if kind == "plate" or not face_model
-        ]
-        if not all(path.is_file() for _, path, _ in self._paths):
-            raise UserError(
-                "this OpenCV comes without the detectors that blur needs",
-                expected="OpenCV 4, whose package has them",
-                found=f"OpenCV {cv2.__version__}",
-                where=folder,
-                do=f"make install, which has it, or set {setting_of('import', 'blur = false')}",
-            )
+        self._paths = [] if face_model else [(folder / name, mirrored) for name, mirrored in _CASCADES]
         self._of_thread = threading.local()
         if face_model is None:
             return
@@ -89,47 +85,114 @@ class PeopleDetector:
 
     def __call__(self, rgb: NDArray[np.uint8]) -> list[Region]:
         if not hasattr(self._of_thread, "cascades"):
-            self._of_thread.cascades = [(k, cv2.CascadeClassifier(str(path)), m) for k, path, m in self._paths]
+            self._of_thread.cascades = [(cv2.CascadeClassifier(str(path)), m) for path, m in self._paths]
             if self._face_model:
                 limits = (_FACE_SCORE, _FACE_OVERLAP, _MAX_FACES)
                 self._of_thread.faces = cv2.FaceDetectorYN.create(str(self._face_model), "", (64, 64), *limits)
         small = shrunk(rgb, _LONG_SIDE)
         scale = rgb.shape[1] / small.shape[1]
-        found: list[tuple[Kind, Any]] = []
+        found: list[tuple[float, float, float, float, float]] = []
         if self._face_model:
             self._of_thread.faces.setInputSize(small.shape[1::-1])
             _, boxes = self._of_thread.faces.detect(cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
-            found = [("face", box[:4]) for box in (() if boxes is None else boxes)]
+            for x, y, width, height, *_, score in () if boxes is None else boxes.tolist():
+                found.append((x, y, width, height, score))
         gray = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)
-        for kind, cascade, mirrored in self._of_thread.cascades:
+        for cascade, mirrored in self._of_thread.cascades:
             for flipped in (False, True) if mirrored else (False,):
                 image = cv2.flip(gray, 1) if flipped else gray
-                boxes = cascade.detectMultiScale(
-                    image, scaleFactor=1.1, minNeighbors=_NEIGHBOURS, minSize=_MIN_SIZE[kind]
-                )
-                for x, *of_box in boxes:
-                    found.append((kind, (gray.shape[1] - x - of_box[1] if flipped else x, *of_box)))
-        return [Region(kind, *(round(float(v) * scale) for v in box)) for kind, box in found]
+                boxes = cascade.detectMultiScale(image, scaleFactor=1.1, minNeighbors=_NEIGHBOURS, minSize=_MIN_SIZE)
+                for x, y, width, height in boxes:
+                    found.append((gray.shape[1] - x - width if flipped else x, y, width, height, math.nan))
+        return [
+            Region("face", round(x * scale), round(y * scale), round(width * scale), round(height * scale), score)
+            for x, y, width, height, score in found
+        ]
 
 
-def blur_people(rgb: NDArray[np.uint8], detect: Detector, quarters: int) -> tuple[NDArray[np.uint8], list[Region]]:
-    """An image (H, W, 3) with what `detect` finds made unrecognisable, and these regions.
+@dataclass(frozen=True)
+class Blurring:
+    """What is to be blurred: in an image that `boxes` lists, by its frame_id, these; in others what `detect` finds,
+    where it's given."""
 
-    `quarters` clockwise turns put the image upright, as detectors know no faces that lie on their side; the image comes
-    back as it was turned, the regions as they are in the upright one.
-    """
-    upright = turned_pixels(rgb, quarters)
-    regions = detect(upright)
-    if not regions:
-        return rgb, []
-    erased = upright.copy()
+    detect: Detector | None = None
+    boxes: Mapping[str, list[Region]] | None = None
+
+    def looks_at(self, frame_id: str) -> bool:
+        """Whether it says anything of an image."""
+        return self.detect is not None or frame_id in (self.boxes or {})
+
+    def regions(self, frame_id: str, rgb: NDArray[np.uint8], quarters: int) -> list[Region] | None:
+        """The regions of an image (H, W, 3) to be blurred, None where nothing looks at it. `quarters` clockwise turns
+        put it upright, as detectors know no faces that lie on their side."""
+        if (given := (self.boxes or {}).get(frame_id)) is not None or self.detect is None:
+            return given
+        upright = turned_pixels(rgb, quarters)
+        height, width = upright.shape[:2]
+        regions = self.detect(upright)
+        for _ in range(quarters):
+            regions = [r._replace(x=r.y, y=width - r.x - r.width, width=r.height, height=r.width) for r in regions]
+            width, height = height, width
+        return regions
+
+
+def blurred(rgb: NDArray[np.uint8], regions: Iterable[Region]) -> NDArray[np.uint8]:
+    """An image (H, W, 3) with these regions made unrecognisable: a few averaged colours of each and its surroundings
+    are left."""
+    erased = rgb.copy()
     for region in regions:
-        # A few averaged colours of the region and its surroundings are left.
         margin_x, margin_y = round(region.width * _MARGIN), round(region.height * _MARGIN)
         left, top = max(0, region.x - margin_x), max(0, region.y - margin_y)
-        part = erased[top : region.y + region.height + margin_y, left : region.x + region.width + margin_x]
+        right, bottom = (
+            max(0, end) for end in (region.x + region.width + margin_x, region.y + region.height + margin_y)
+        )
+        part = erased[top:bottom, left:right]
         height, width = part.shape[:2]
         if height and width:
             cells = cv2.resize(part, (min(_CELLS, width), min(_CELLS, height)), interpolation=cv2.INTER_AREA)
             part[:] = cv2.resize(cells, (width, height), interpolation=cv2.INTER_LINEAR)
-    return turned_pixels(erased, -quarters), regions
+    return erased
+
+
+def write_boxes(file: Path, regions_of: Mapping[str, tuple[str, list[Region]]]) -> None:
+    """Write a table (CSV) of the regions of each image that was looked at, by its frame_id with its source in the
+    capture: a row a region, an empty one of an image without any."""
+    no_region: list[tuple[str, ...]] = [("",) * len(Region._fields)]
+    rows = [
+        (frame_id, printable(source), *region)
+        for frame_id, (source, regions) in regions_of.items()
+        for region in (regions or no_region)
+    ]
+    pd.DataFrame(rows, columns=["frame_id", "source", *Region._fields]).to_csv(file, index=False)
+
+
+def read_boxes(file: Path) -> dict[str, list[Region]]:
+    """The regions of each image that a table as `write_boxes` writes it lists, also where a spreadsheet has written it
+    anew. UserError where it is none."""
+    kinds = get_args(Kind)
+    boxes: dict[str, list[Region]] = {}
+    try:
+        lines = read_text(file, _MAX_BYTES).splitlines()
+        table = csv.DictReader(lines, delimiter=";" if ";" in "".join(lines[:1]) else ",")
+        if missing := [name for name in ("frame_id", "kind", *_BOX) if name not in (table.fieldnames or ())]:
+            raise BadRow(f"no column {missing[0]}")
+        for row in table:
+            of_image, kind = boxes.setdefault(row["frame_id"], []), row["kind"]
+            if not kind:
+                continue
+            try:
+                x, y, width, height = (round(number(row, name)) for name in _BOX)
+            except (ValueError, OverflowError):
+                x = y = width = height = 0
+            if kind not in kinds or min(width, height) < 1:
+                raise BadRow(f"line {table.line_num}: {', '.join(str(row[name]) for name in ('kind', *_BOX))}")
+            of_image.append(Region(cast(Kind, kind), x, y, width, height))
+    except (BadRow, csv.Error) as error:
+        raise UserError(
+            "the boxes to be blurred can't be read",
+            where=file,
+            found=error,
+            expected=f"a table (CSV) with frame_id, kind ({' or '.join(kinds)}; empty: no box), {', '.join(_BOX)}",
+            do="correct it, or begin with import's blurred.csv",
+        ) from None
+    return boxes

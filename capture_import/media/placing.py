@@ -5,13 +5,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import Image, ImageFile, VideoFrame
-from groundwalk.capture_import.media.blurring import Detector, Region, blur_people
+from groundwalk.capture_import.media.blurring import Blurring, Region, blurred
 from groundwalk.capture_import.media.images import decode_rgb, encode_jpeg, is_heic
 from groundwalk.capture_import.media.reading import ImageReader, video_of
 from groundwalk.capture_import.media.upright import turned_pixels
@@ -46,54 +46,62 @@ class Placement:
         return f"import:{target.relative_to(self.work).as_posix()}"
 
 
-def place_images(
-    images: Sequence[Image], where: Placement, detect: Detector | None, to_upright: int
-) -> list[dict[str, Any]]:
-    """Place a session's selected images: their columns `image`, `image_sha256`, `blurred_faces` and `blurred_plates` of
-    import.frames, in order.
+class Placed(NamedTuple):
+    """A frame's columns `image`, `image_sha256`, `blurred_faces` and `blurred_plates` of import.frames, and the regions
+    of its image that are blurred; None where nothing looked for any."""
+
+    columns: dict[str, Any]
+    regions: list[Region] | None
+
+
+def place_images(images: Sequence[Image], where: Placement, blurring: Blurring, to_upright: int) -> list[Placed]:
+    """Place a session's selected images, in order.
 
     Frames of a video, images from an archive or in HEIC, and images that are turned or blurred are always written to
-    the artefact, without metadata; other files of the capture folder are left there, or copied. `detect` finds what is
-    to be blurred, in images that `to_upright` quarter turns clockwise put upright.
+    the artefact, without metadata; other files of the capture folder are left there, or copied. `blurring` says what is
+    to be blurred, by detectors in images that `to_upright` quarter turns clockwise put upright.
     """
 
-    def rendered(rgb: NDArray[np.uint8], quarters: int) -> tuple[NDArray[np.uint8], list[Region]]:
-        rgb = turned_pixels(rgb, quarters)
-        return blur_people(rgb, detect, to_upright) if detect is not None else (rgb, [])
+    def frame_id(image: Image) -> str:
+        return f"{where.session_id}/{image.number:06d}"
 
-    def placed(entry: str, sha256: str, regions: list[Region]) -> dict[str, Any]:
-        kinds = ("face", "plate")
-        counts = {f"blurred_{k}s": sum(r.kind == k for r in regions) if detect is not None else math.nan for k in kinds}
-        return {"image": entry, "image_sha256": sha256, **counts}
+    def rendered(image: Image, rgb: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], list[Region] | None]:
+        rgb = turned_pixels(rgb, image.quarters)
+        regions = blurring.regions(frame_id(image), rgb, to_upright)
+        return (blurred(rgb, regions) if regions else rgb), regions
 
-    def written(image: Image, data: bytes, suffix: str, regions: list[Region]) -> dict[str, Any]:
+    def placed(entry: str, sha256: str, regions: list[Region] | None) -> Placed:
+        counts = {
+            f"blurred_{kind}s": math.nan if regions is None else sum(region.kind == kind for region in regions)
+            for kind in ("face", "plate")
+        }
+        return Placed({"image": entry, "image_sha256": sha256, **counts}, regions)
+
+    def written(image: Image, data: bytes, suffix: str, regions: list[Region] | None) -> Placed:
         entry = where.write(data, "images", image.number, suffix)
         return placed(entry, hashlib.sha256(data).hexdigest(), regions)
 
-    def of_file(image: Image) -> dict[str, Any]:
+    def of_file(image: Image) -> Placed:
         ref = image.image
         assert isinstance(ref, ImageFile)  # a recording has files or a video, never both
-        regions: list[Region] = []
+        regions: list[Region] | None = None
         with ref.path.open("rb") as file:
-            is_heic_file = is_heic(file.read(12))
-        is_changed = image.quarters or is_heic_file
-        if is_changed or detect is not None:
-            rgb, regions = rendered(decode_rgb(ref.path.read_bytes(), long_side=2**31), image.quarters)
+            is_changed = image.quarters or is_heic(file.read(12))
+        if is_changed or blurring.looks_at(frame_id(image)):
+            rgb, regions = rendered(image, decode_rgb(ref.path.read_bytes(), long_side=2**31))
             if is_changed or regions:
                 return written(image, encode_jpeg(rgb), ".jpg", regions)
         if where.stays(ref.path):
             return placed(ref.path.relative_to(where.root).as_posix(), image.check.sha256, regions)
         return written(image, without_metadata(ref.path.read_bytes()), ref.path.suffix.lower(), regions)
 
-    text = f"{where.session_id}: {'placing images' if detect is None else 'blurring faces and plates'}"
+    text = f"{where.session_id}: {'placing images' if blurring.detect is None else 'blurring faces'}"
     video = video_of(images)
     if video is None:
         return list(track(in_parallel(of_file, images), text, len(images)))
     image_of = {ref.index: image for image in images if isinstance(ref := image.image, VideoFrame)}
     decoded = decode(video, set(image_of), where.reader.limits)
-    of_video = in_parallel(
-        lambda frame: (frame[0], rendered(rgb_pixels(frame[1]), image_of[frame[0]].quarters)), decoded
-    )
+    of_video = in_parallel(lambda frame: (frame[0], rendered(image_of[frame[0]], rgb_pixels(frame[1]))), decoded)
     done = {
         index: written(image_of[index], encode_jpeg(rgb), ".jpg", regions)
         for index, (rgb, regions) in track(of_video, text, len(image_of))

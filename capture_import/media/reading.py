@@ -2,12 +2,14 @@
 
 import math
 import stat
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 import av
+import cv2
 import numpy as np
 
 from groundwalk.capture_import.capture import ImageCheck, ImageFile, Limits, RawFrame, VideoFrame
@@ -30,6 +32,9 @@ Frame = TypeVar("Frame", bound=RawFrame)
 # A sound JPEG or PNG has fewer bytes than this a pixel, and a header with metadata.
 _BYTES_A_PIXEL = 4
 _HEADER_BYTES = 1 << 20
+# Grey levels, of 255: a walk changes by up to 10 from image to image, and by 2 more than before; images of two places
+# differ by 27 and more. Several are looked at, as some videos show each image twice.
+_CUT_CHANGE, _CUT_IMAGES = 15.0, 6
 
 
 @dataclass(frozen=True)
@@ -103,16 +108,30 @@ class ImageReader:
         refs = [frame.image for frame in frames if isinstance(frame.image, VideoFrame)]
         assert len(refs) == len(frames) and len({ref.path for ref in refs}) == 1  # one video a recording
         images = decode(refs[0].path, {ref.index for ref in refs}, self.limits)
-        at, check = -1, None
+        at, check, part = -1, None, 0
+        before, changes = None, deque[float](maxlen=_CUT_IMAGES)
         for ref in refs:
             while at < ref.index and (decoded := next(images, None)) is not None:
                 at, image = decoded
+                gray = _working_gray(image)
+                if before is not None and before.shape == gray.shape:
+                    # A pan or a shaking hand changes much in each image, a cut in one (as in FFmpeg's scdet).
+                    changes.append(_change(before, gray))
+                    part += len(changes) == _CUT_IMAGES and changes[-1] > max(list(changes)[:-1]) + _CUT_CHANGE
+                before = gray
                 # A frame has no file to hash until it's written.
-                check = _turned(measured(_working_gray(image), image.width, image.height), frames[0].quarters)
+                check = replace(_turned(measured(gray, image.width, image.height), frames[0].quarters), part=part)
             if check is not None and at == ref.index:
                 yield check
             else:
                 yield "video frame is missing or out of order" if at > ref.index else "video ends before this frame"
+
+
+def _change(before: Gray, gray: Gray) -> float:
+    """The mean change of brightness from one image (H, W) to another, but for what all pixels have in common, as when a
+    lamp is turned on."""
+    difference = cv2.subtract(gray, before, dtype=cv2.CV_32F)
+    return float(np.abs(difference - difference.mean()).mean())
 
 
 def video_of(frames: Iterable[RawFrame]) -> Path | None:

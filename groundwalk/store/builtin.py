@@ -40,6 +40,7 @@ BUILTIN: dict[str, dict[str, str]] = {
             "cambridge",
             "colmap",
             "nerfstudio",
+            "llff",
             "photos",
             "video",
         )

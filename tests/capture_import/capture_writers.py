@@ -381,6 +381,18 @@ def write_nerfstudio(folder: Path, walk: Walk) -> None:
     _write(folder, files | {"transforms.json": _json(content)})
 
 
+def write_llff(folder: Path, walk: Walk) -> None:
+    """LLFF: rows in the order of the images' names as text, one focal length, the principal point in the middle."""
+    names = [f"{i}.jpg" for i in walk.seen]
+    rows = []
+    for i in (walk.seen[k] for k in np.argsort(names)):
+        right, down, forward, position = walk.vio_T_cam[i, :3].T
+        matrix = np.column_stack([down, right, -forward, position, [*walk.size[::-1], walk.camera[0, 0]]])
+        rows.append([*matrix.ravel(), 0.1, 100.0])
+    _write(folder, {f"images/{name}": walk.jpeg(i) for name, i in zip(names, walk.seen, strict=True)})
+    np.save(folder / "poses_bounds.npy", np.array(rows))
+
+
 def _json(content: object) -> bytes:
     return json.dumps(content).encode()
 
@@ -436,6 +448,7 @@ WRITERS = {
     "cambridge": Written(write_cambridge, camera=False, clock=False),
     "colmap": Written(write_colmap, clock=False),
     "nerfstudio": Written(write_nerfstudio, clock=False),
+    "llff": Written(write_llff, camera=False, clock=False),
 }
 
 

@@ -21,6 +21,7 @@ HALVES = {
     "tum": ("groundtruth.txt", "TUM RGB-D lists{place}: rgb.txt is here, groundtruth.txt is not"),
     "rtabmap": ("scan_rgb", "RTAB-Map export{place}: *_camera_poses.txt and *_calib/ are here, *_rgb/ is not"),
     "kitti": ("poses.txt", "KITTI odometry{place}: calib.txt, times.txt and image_2/ are here, poses.txt is not"),
+    "llff": ("images", "LLFF{place}: poses_bounds.npy is here, images/ or images_*/ is not"),
     "colmap": ("images", "COLMAP model{place}: sparse/*/images.* is here, images/ or */*.jpg or */*.png is not"),
 }
 

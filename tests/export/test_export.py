@@ -581,6 +581,7 @@ def test_formats_without_distortion_get_images_of_pinholes(scene: DataRoot, name
             K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
             stated = listed.loc[frame_id, ["fx", "fy", "cx", "cy"]].to_numpy().tolist()
             assert stated == pytest.approx(K[[0, 1, 0, 1], [0, 1, 2, 2]])
+            assert camera.distortion == (0.0,) * 4
             assert _dots_off_px(image, found[frame_id], K, points[frame_id]) < 0.2
             row = _truth(scene).loc[frame_id]
             K = np.array([[row["fx"], 0, row["cx"]], [0, row["fy"], row["cy"]], [0, 0, 1]])

@@ -8,8 +8,8 @@ TABLES = tables(
 frames 2.5: Images that are used, each with its intrinsics and the phone's pose: frames of the dataset, and between them
         support frames, which only SfM and the checks of its model use: no table of a later stage has them.
     frame_id (string): <session>/<six digits>, the row's number in the capture's log
-    session_id (string): recording; a part of one where VIO jumped (`walk`, `walk.part2`), or of one camera of several
-        (`walk.camera2`)
+    session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one
+        camera of several (`walk.camera2`)
     t_ns (int64, ns): time on the session's clock; where that is name_order, the place in the order of names times 1e9
     clock (Clock): what t_ns counts from; name_order: images have no times
     image (string): path in the capture folder; `import:` in front: in this artefact
@@ -31,8 +31,8 @@ frames 2.5: Images that are used, each with its intrinsics and the phone's pose:
     exposure_s (float64?, s): exposure time
     split (Split): what the frame is for; a support frame's is that of the frame of the dataset nearest in time
     support (bool): support frame: used by SfM and the checks of its model, not in the dataset
-    blurred_faces (int64?): regions blurred as faces; null: no detector ran
-    blurred_plates (int64?): regions blurred as plates; null: no detector ran
+    blurred_faces (int64?): regions blurred as faces; null: nothing looked for any
+    blurred_plates (int64?): regions blurred as plates, which `blur_boxes` lists; null as for faces
     depth (string?): depth image that shows what the image shows: path as in `image`; PNG of 16 bits, mm along the
         camera's z axis, 0: none. Null where there is none
     depth_sha256 (string?): sha256 of the depth image file; null where there is none
@@ -40,8 +40,8 @@ frames 2.5: Images that are used, each with its intrinsics and the phone's pose:
         127, 255 for low, medium, high. Null where there is none
 
 sessions 3.4: The recordings of a capture.
-    session_id (string): recording; a part of one where VIO jumped (`walk`, `walk.part2`), or of one camera of several
-        (`walk.camera2`)
+    session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one
+        camera of several (`walk.camera2`)
     recording (string): the recording that the session is, or is a part of
     format (string): capture format, as `groundwalk formats` lists it
     device (string): phone, as far as the capture says
@@ -66,8 +66,8 @@ sessions 3.4: The recordings of a capture.
         the accelerometer, lines in the images or the start pose
 
 rejects 1.1: Rows and files of the captures that were rejected; images that sampling didn't select aren't here.
-    session_id (string): recording; a part of one where VIO jumped (`walk`, `walk.part2`), or of one camera of several
-        (`walk.camera2`)
+    session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one
+        camera of several (`walk.camera2`)
     source (string): file or row in the capture
     t_ns (int64?, ns): time on the session's clock, where it could be read
     reason (string): why
@@ -75,8 +75,8 @@ rejects 1.1: Rows and files of the captures that were rejected; images that samp
         a frame that stays; null for a row that can't be read
 
 jumps 1.0: Motion between two poses that no hand can do: relocalisations of the odometry.
-    session_id (string): recording; a part of one where VIO jumped (`walk`, `walk.part2`), or of one camera of several
-        (`walk.camera2`)
+    session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one
+        camera of several (`walk.camera2`)
     t_ns (int64, ns): time of the first pose after the jump
     dt_s (float64, s): time between the two poses
     jump_m (float64, m): displacement beyond the motion around it
@@ -85,8 +85,8 @@ jumps 1.0: Motion between two poses that no hand can do: relocalisations of the 
 
 reference 1.0: Poses that a public data set has instead of VIO; no rows for phone captures. Its world is the data set's.
     frame_id (string): frame, as in `frames`
-    session_id (string): recording; a part of one where VIO jumped (`walk`, `walk.part2`), or of one camera of several
-        (`walk.camera2`)
+    session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one
+        camera of several (`walk.camera2`)
     t_ns (int64, ns): time on the session's clock; where that is name_order, the place in the order of names times 1e9
     map_cam (pose): map_T_cam by the data set
 
@@ -100,8 +100,8 @@ gps 1.0: Positions on earth (WGS84) that photos and logs state; there only where
     altitude_sd_m (float64?, m): standard error of the altitude, as stated
 
 vio 1.0: All sound poses of the odometry at its full rate, also those without an image.
-    session_id (string): recording; a part of one where VIO jumped (`walk`, `walk.part2`), or of one camera of several
-        (`walk.camera2`)
+    session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one
+        camera of several (`walk.camera2`)
     t_ns (int64, ns): time on the session's clock; where that is name_order, the place in the order of names times 1e9
     vio_cam (pose): vio_T_cam by the phone's odometry
     tracking (Tracking): the odometry's state

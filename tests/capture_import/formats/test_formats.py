@@ -1,5 +1,6 @@
 """Each format: written from a walk, read back to the same walk."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -118,6 +119,36 @@ def test_each_image_is_read_or_a_reject(tmp_path: Path, name: str) -> None:
     assert upper in read | rejected
     assert (upper in read) or name in ("frames_jsonl", "tum", "cambridge", "colmap", "nerfstudio", "nerf_capture")
     assert {p.name for p in rest} <= read
+
+
+@pytest.mark.parametrize("name", [name for name in WRITERS if name not in ("colmap", "llff")])
+def test_logs_in_utf16_are_read_and_empty_ones_refused(tmp_path: Path, name: str) -> None:
+    WRITERS[name].write(tmp_path / "place" / "walk", make_walk(8))
+    count = len(read_one(tmp_path / "place").frames)
+    texts = (".csv", ".txt", ".json", ".jsonl", ".yaml", ".nvm", ".traj")
+    logs = [path for path in (tmp_path / "place").rglob("*") if path.suffix in texts]
+    for log in logs:
+        log.write_bytes(log.read_text().encode("utf-16"))
+    raw = read_one(tmp_path / "place")
+    assert (raw.format, len(raw.frames)) == (name, count) and not raw.rejects
+    for log in logs:
+        log.write_bytes(b"")
+    with pytest.raises(UserError):
+        for session in sessions_in(tmp_path / "place"):
+            assert not session.frames
+            raise UserError("no sound row")
+
+
+@pytest.mark.parametrize("name", ["arkit_scenes", "rtabmap", "seven_scenes", "cambridge", "tum", "kitti"])
+def test_a_comma_for_a_decimal_point_is_named(tmp_path: Path, name: str) -> None:
+    WRITERS[name].write(tmp_path / "place" / "walk", make_walk(8))
+    for log in (path for path in (tmp_path / "place").rglob("*") if path.suffix in (".txt", ".traj")):
+        log.write_text(re.sub(r"(\d)\.(\d)", r"\1,\2", log.read_text()))
+    try:
+        said = [reject.reason for reject in rejects_of(sessions_in(tmp_path / "place"))]
+    except UserError as error:
+        said = [str(error)]
+    assert any("has a comma for a decimal point" in text for text in said)
 
 
 def test_two_files_of_one_frame_number_are_named(tmp_path: Path) -> None:

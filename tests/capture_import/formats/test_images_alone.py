@@ -1,6 +1,7 @@
 """Photos and videos without poses: EXIF, cameras, turns, order, what is left out, and when they are looked for."""
 
 import io
+from collections.abc import Callable
 from datetime import datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
@@ -184,7 +185,13 @@ def test_photos_beside_a_log_are_read_only_where_asked_for(tmp_path: Path) -> No
     assert len(read_one(tmp_path / "walk", "photos").frames) == 3
 
 
-def write_video(path: Path, times_s: list[float], rotation: int = 0, blur: float = 0.0) -> None:
+def write_video(
+    path: Path,
+    times_s: list[float],
+    rotation: int = 0,
+    blur: float = 0.0,
+    picture_of: Callable[[int], np.ndarray] = lambda n: image(n, WIDTH, HEIGHT),
+) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w", format="mov") as container:
         stream = container.add_stream("libx264", rate=30, options={"crf": "10"})
@@ -192,7 +199,7 @@ def write_video(path: Path, times_s: list[float], rotation: int = 0, blur: float
         stream.codec_context.time_base = stream.time_base = Fraction(1, 600)
         stream.set_display_rotation(rotation)
         for n, time_s in enumerate(times_s):
-            picture = image(n, WIDTH, HEIGHT)
+            picture = picture_of(n)
             if blur:
                 picture = cv2.GaussianBlur(picture, (0, 0), blur)
             frame = av.VideoFrame.from_ndarray(picture, "bgr24")
@@ -213,6 +220,35 @@ def test_a_video_is_turned_and_has_its_own_times(tmp_path: Path, rotation: int, 
     assert list(tables["sessions"]["session_id"]) == ["IMG_0001"] and len(frames) == len(times_s)
     assert frames["t_ns"].to_numpy() * 1e-9 == pytest.approx(times_s, abs=0.002)
     assert all(off(data, n, turns) < 25 for n, data in enumerate(images))
+
+
+@pytest.mark.parametrize("step_px", [1, 2])
+def test_a_cut_in_a_video_begins_a_session(tmp_path: Path, step_px: int) -> None:
+    """Three places, panned slowly or fast with each image shown twice; a lamp that is turned on is no cut."""
+    first = {0: 0, 24: 1, 50: 2}
+
+    def picture(n: int) -> np.ndarray:
+        place = max(start for start in first if start <= n)
+        shown = np.roll(image(first[place], WIDTH, HEIGHT), step_px * (n // 2), axis=1)
+        return cv2.convertScaleAbs(shown, alpha=0.8, beta=40 if n % 30 > 10 else 0)
+
+    write_video(tmp_path / "captures" / "place" / "a.mp4", [n / 10 for n in range(80)], picture_of=picture)
+    tables, _ = imported(tmp_path)
+    assert tables["sessions"]["session_id"].tolist() == ["a", "a.part2", "a.part3"]
+    assert tables["sessions"]["device"].tolist() == ["camera 1"] * 3
+    t_s = {str(name): rows["t_ns"].to_numpy(float) * 1e-9 for name, rows in tables["frames"].groupby("session_id")}
+    assert t_s["a"].max() < 2.4 <= t_s["a.part2"].min() and t_s["a.part3"].min() >= 5
+    assert any("2 cuts, at 2.4 s, 5.0 s" in line for line in inspect_capture(tmp_path / "captures" / "place"))
+
+
+def test_photos_of_one_camera_share_it_across_folders_and_others_dont(tmp_path: Path) -> None:
+    for n in range(4):
+        for folder, model in (("a", "P"), ("b", "Q"), ("c", "P"), ("d", ""), ("e", "")):
+            write_photo(tmp_path / "captures" / "place" / folder / f"{n}.jpg", 10 * ord(folder) + n, Model=model)
+    write_video(tmp_path / "captures" / "place" / "f.mp4", [n / 2 for n in range(4)])
+    tables, _ = imported(tmp_path)
+    devices = tables["sessions"].set_index("session_id")["device"].str.removeprefix("camera ")
+    assert devices.astype(int).to_dict() == {"a": 1, "b": 2, "c": 1, "d": 3, "e": 4, "f": 5}
 
 
 def test_a_video_without_a_sharp_frame_is_refused(tmp_path: Path) -> None:

@@ -21,8 +21,15 @@ from groundwalk.capture_import.formats.colmap import _Camera, _intrinsics
 from groundwalk.geometry.poses import inverse
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.tables import poses_of
-from tests.capture_import.capture_writers import Walk, make_walk, write_colmap, write_nerfstudio
-from tests.known import there
+from tests.capture_import.capture_writers import (
+    Walk,
+    make_walk,
+    sessions_in,
+    write_colmap,
+    write_llff,
+    write_nerfstudio,
+)
+from tests.known import read_picture, there
 
 DISTORTED = {
     "SIMPLE_PINHOLE": [80.0, 48.5, 35.5],
@@ -214,6 +221,40 @@ def test_nerfstudio_intrinsics_are_those_stated(tmp_path: Path) -> None:
     assert [there(frame.intrinsics).distortion for frame in raw.frames] == lenses
     with pytest.raises(UserError, match="THIN_PRISM_FISHEYE"):
         changed(tmp_path, make_walk(4), lambda content: content.update(camera_model="THIN_PRISM_FISHEYE"))
+
+
+@pytest.mark.parametrize(
+    ("model", "own", "lens"), [("OPENCV", False, ()), ("PINHOLE", False, (0.0,) * 4), ("OPENCV", True, (0.0,) * 4)]
+)
+def test_a_pinhole_of_nerfstudio_and_zeros_of_our_own_export_state_that_there_is_no_distortion(
+    tmp_path: Path, model: str, own: bool, lens: tuple[float, ...]
+) -> None:
+    write_nerfstudio(tmp_path / "walk", make_walk(4))
+    if own:
+        (tmp_path / "walk" / "export.json").write_text('{"map": "metres, +y up"}')
+    raw = changed(tmp_path, make_walk(4), lambda content: content.update(camera_model=model, k1=0.0))
+    assert {there(frame.intrinsics).distortion for frame in raw.frames} == {lens}
+
+
+def test_rows_of_llff_are_joined_in_the_order_of_names_as_text(tmp_path: Path) -> None:
+    """Smaller copies in images_2/ do as well; too few images are refused with both counts."""
+    walk = make_walk(24)  # 0.jpg, 2.jpg, ..., 22.jpg
+    write_llff(tmp_path / "walk", walk)
+    (tmp_path / "walk" / "images").rename(tmp_path / "walk" / "images_2")
+    for image in (tmp_path / "walk" / "images_2").iterdir():
+        cv2.imwrite(str(image), cv2.resize(read_picture(image), (48, 36)))
+    (session,) = sessions_in(tmp_path)
+    assert [frame.source for frame in session.frames[:2]] == ["poses_bounds.npy row 0", "poses_bounds.npy row 6"]
+    for seen, i in zip(session.images, walk.seen, strict=True):
+        assert isinstance(seen.image, ImageFile) and seen.image.path.stem == str(i)
+        np.testing.assert_allclose(there(seen.vio_T_cam), walk.vio_T_cam[i], atol=1e-9)
+        assert (seen.camera.fx, seen.camera.width) == (pytest.approx(walk.camera[0, 0] / 2), 48)
+    (tmp_path / "walk" / "images_2" / "0.jpg").unlink()
+    with pytest.raises(UserError, match=r"(?s)12 images, as many as rows.*11 in images_2/"):
+        read_all(tmp_path)
+    np.save(tmp_path / "walk" / "poses_bounds.npy", np.zeros((11, 15)))
+    with pytest.raises(UserError, match=r"(?s)17 numbers.*\(11, 15\)"):
+        read_all(tmp_path)
 
 
 def test_a_fisheye_lens_of_nerfstudio_projects_as_opencvs(tmp_path: Path) -> None:

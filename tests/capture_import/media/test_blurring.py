@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from groundwalk.capture_import.definition import STAGE
-from groundwalk.capture_import.media.blurring import PeopleDetector, Region, blur_people
+from groundwalk.capture_import.media.blurring import Blurring, FaceDetector, Region, blurred, read_boxes
 from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import DataRoot, UserError, execute
@@ -27,7 +27,7 @@ from tests.capture_import.capture_writers import (
     write_scanner_app,
     write_stray_scanner,
 )
-from tests.known import rows
+from tests.known import rows, there
 
 PLACE = b"48.123456N 11.654321E"
 
@@ -84,19 +84,19 @@ def test_copied_images_tell_no_place(tmp_path: Path) -> None:
     assert frames[["blurred_faces", "blurred_plates"]].isna().all(axis=None)
 
 
-@pytest.mark.parametrize("quarters", [0, 1])
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3])
 def test_what_a_detector_finds_is_erased_where_it_is(quarters: int) -> None:
     upright = np.random.default_rng(5).integers(0, 255, (300, 400, 3), dtype=np.uint8)
     stored = np.ascontiguousarray(np.rot90(upright, quarters))
-    region = Region("face", 120, 80, 60, 50)
 
     def detect(rgb: np.ndarray) -> list[Region]:
         np.testing.assert_array_equal(rgb, upright)
-        return [region, Region("plate", 390, 290, 40, 40)]
+        return [Region("face", 120, 80, 60, 50), Region("face", 390, 290, 40, 40)]
 
-    blurred, regions = blur_people(stored, detect, quarters)
-    assert regions[0] == region and blurred.shape == stored.shape
-    back = np.rot90(blurred, -quarters)
+    regions = there(Blurring(detect).regions("walk/000000", stored, quarters))
+    erased = blurred(stored, regions)
+    assert erased.shape == stored.shape
+    back = np.rot90(erased, -quarters)
     inside = np.zeros((300, 400), bool)
     inside[70:140, 108:192] = True  # widened by a fifth
     inside[282:, 382:] = True
@@ -104,6 +104,56 @@ def test_what_a_detector_finds_is_erased_where_it_is(quarters: int) -> None:
     # What is left of the face is as smooth as a few averaged colours.
     assert np.abs(np.diff(back[80:130, 120:180].astype(int), axis=1)).mean() < 4
     assert np.abs(np.diff(upright[80:130, 120:180].astype(int), axis=1)).mean() > 60
+
+
+def test_boxes_corrected_by_hand_are_blurred_and_no_others(tmp_path: Path) -> None:
+    """What import found is in a table; a row taken out isn't blurred again, one put in is, as a spreadsheet writes it;
+    detectors look at images that the table doesn't list."""
+    walk = make_walk(6, every=1)
+    pictures = np.full((6, 360, 480, 3), 90, np.uint8)
+    pictures[:, ::2, ::3] = 110
+    for i in (1, 3, 5):
+        pictures[i, 40:220, 160:314] = cv2.resize(portrait(), (154, 180), interpolation=cv2.INTER_AREA)[:, :, ::-1]
+    camera = np.tile([400.0, 400.0, 240.0, 180.0], (6, 1))
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", replace(walk, pictures=pictures, camera=camera))
+
+    def imported(*settings: str) -> Path:
+        return execute(STAGE, "place", "tiny", DataRoot(tmp_path), list(settings))
+
+    found = pd.read_csv(imported("blur=true") / "blurred.csv", keep_default_na=False)
+    with_face = found.loc[found["kind"] == "face", "frame_id"].str[-1]
+    assert found["frame_id"].nunique() == 6 and set(with_face) == {"1", "3", "5"}
+    rows = found[(found["frame_id"] != "walk/000005") & (found["kind"] == "")].to_dict("records")
+    rows += [{"frame_id": "walk/000001", "kind": ""}]  # not this one
+    rows += [{"frame_id": "walk/000003", "kind": "plate", "x": 300, "y": 250, "width": 80, "height": 30}]
+    rows += [{"frame_id": "walk/999999", "kind": "face", "x": 1, "y": 1, "width": 8, "height": 8}]
+    pd.DataFrame(rows).to_csv(tmp_path / "boxes.csv", sep=";", index=False, encoding="utf-8-sig")
+    artefact = imported("blur=true", "blur_boxes=boxes.csv")
+    frames = pd.read_parquet(artefact / "frames.parquet")
+    assert frames["blurred_faces"].tolist()[:5] == [0] * 5 and frames["blurred_faces"].tolist()[5] > 0
+    assert frames["blurred_plates"].tolist() == [0, 0, 0, 1, 0, 0]
+    assert [entry.startswith("import:") for entry in frames["image"]] == [False, False, False, True, False, True]
+    shown = decode_rgb((artefact / frames["image"][3].removeprefix("import:")).read_bytes(), 1000).astype(int)
+    assert np.abs(np.diff(shown[255:275, 310:370], axis=0)).mean() < 4 < np.abs(np.diff(shown[60:200, 180:300])).mean()
+    alone = pd.read_parquet(imported("blur_boxes=boxes.csv") / "frames.parquet")
+    assert alone["blurred_plates"].isna().tolist() == [False] * 5 + [True]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("frame_id,kind\n", "no column x"),
+        ("frame_id,kind,x,y,width,height\na/000001,nose,1,1,5,5\n", "line 2: nose"),
+        ("frame_id,kind,x,y,width,height\na/000001,face,1,1,,5\n", "line 2: face, 1, 1, , 5"),
+        ("frame_id,kind,x,y,width,height\na/000001,face\n", "line 2: face, None"),
+        ("frame_id;kind;x;y;width;height\na/000001;face;1,5;1;5;5\n", "line 2: face, 1,5, 1, 5, 5"),
+        ("", "no column frame_id"),
+    ],
+)
+def test_a_table_of_boxes_that_cannot_be_read_is_named(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "boxes.csv").write_text(text)
+    with pytest.raises(UserError, match=said):
+        read_boxes(tmp_path / "boxes.csv")
 
 
 @pytest.mark.parametrize(
@@ -127,28 +177,13 @@ def test_the_blurring_of_a_face_is_in_the_artefact(
     frames = pd.read_parquet(artefact / "frames.parquet")
     assert np.flatnonzero(frames["blurred_faces"] > 0).tolist() == [2, 7]
     assert load_manifest(artefact)["figures"]["blurred_faces"] == frames["blurred_faces"].sum()
-    detect = PeopleDetector()
+    detect = FaceDetector()
     for row in rows(frames):
         assert row.image.startswith("import:") == (row.blurred_faces > 0 or write is write_stray_scanner)
         if row.blurred_faces:
             written = decode_rgb((artefact / row.image.removeprefix("import:")).read_bytes(), 1000)
             upright = np.ascontiguousarray(np.rot90(written, -quarters))
-            assert upright.shape == (360, 480, 3) and not [r for r in detect(upright) if r.kind == "face"]
-
-
-def test_blur_without_detectors_stops_before_any_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(6))
-    monkeypatch.setattr(cv2.data, "haarcascades", str(tmp_path))
-    with pytest.raises(UserError, match="detectors that blur needs"):
-        execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["blur=true"])
-
-
-def test_a_drawn_plate_is_found() -> None:
-    rgb = np.full((800, 1200, 3), (40, 45, 60), np.uint8)
-    rgb[400:440, 500:686] = 245
-    cv2.putText(rgb, "M AB 1234", (510, 432), cv2.FONT_HERSHEY_SIMPLEX, 0.95, (15, 15, 15), 3, cv2.LINE_AA)
-    found = PeopleDetector()(rgb)
-    assert any(r.kind == "plate" and r.x < 593 < r.x + r.width and r.y < 420 < r.y + r.height for r in found)
+            assert upright.shape == (360, 480, 3) and not detect(upright)
 
 
 def test_a_turn_in_a_pngs_exif_is_left_out() -> None:
@@ -164,16 +199,16 @@ def test_faces_are_found_by_a_named_model_in_place_of_cascades(tmp_path: Path, m
             self.width = size[0]
 
         def detect(self, bgr: np.ndarray) -> tuple[int, np.ndarray | None]:
-            box = [-4.0, 20, 60, 80, *[0.0] * 10, 0.9]
+            box = [-4.0, 20, 60, 80, *[0.0] * 10, 0.75]
             return 1, np.array([box], np.float32) if bgr.shape[1] == self.width > 64 and bgr[0, 0, 0] > 200 else None
 
     monkeypatch.setattr(cv2.FaceDetectorYN, "create", lambda *_: Faces())
-    detect = PeopleDetector(tmp_path / "yunet.onnx")
+    detect = FaceDetector(tmp_path / "yunet.onnx")
     assert not detect(decode_rgb(jpeg_with_metadata(0), 2**31))
     blue = np.full((360, 480, 3), (0, 0, 255), np.uint8)
-    assert detect(blue) == [Region("face", -4, 20, 60, 80)]
+    assert detect(blue) == [Region("face", -4, 20, 60, 80, 0.75)]
     blue[20:100:2] = 0
-    erased, _ = blur_people(blue, detect, quarters=0)
+    erased = blurred(blue, detect(blue))
     assert np.abs(np.diff(erased[30:90, 5:50].astype(int), axis=0)).max() < 60
 
 
