@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 import pycolmap
 from scipy.spatial.transform import Rotation
+from scipy.special import ndtr, stdtrit
 
 from groundwalk.geometry.lens import distort, distort_with_slope, max_shift, undistort
 from groundwalk.geometry.poses import Array, inverse, make_pose
@@ -332,10 +333,11 @@ def _errors_px(matches: PairMatches, parameters: Array) -> Array:
 
 
 def _is_better(matches: PairMatches, before_M: Array, after_M: Array) -> bool:
-    """The median errors of pairs become smaller by more than scatters from pair to pair."""
+    """The median errors of pairs become smaller by more than scatters from pair to pair (Student's t: few pairs hardly
+    tell their scatter)."""
     medians = [pd.Series(errors).groupby(matches.pair).median().to_numpy() for errors in (before_M, after_M)]
     gain = np.log(np.maximum(medians[0], _MIN_ERROR_PX) / np.maximum(medians[1], _MIN_ERROR_PX))
-    limit = _MIN_GAIN_SIGMAS * gain.std(ddof=1) / np.sqrt(len(gain))
+    limit = stdtrit(len(gain) - 1, ndtr(_MIN_GAIN_SIGMAS)) * gain.std(ddof=1) / np.sqrt(len(gain))
     return bool(gain.mean() > max(limit, _MIN_WRONG_GAIN))
 
 
