@@ -67,7 +67,7 @@ class ProcessDied(UserError):
 def preload(*modules: str) -> None:
     """Name what the tasks of this process import, before the first one starts: where processes are forked, from one
     that does nothing else, it is imported there, once."""
-    _CONTEXT.set_forkserver_preload(list(modules))
+    _CONTEXT.set_forkserver_preload([*modules, "groundwalk.store.preloaded"])
 
 
 def in_child(text: str, log: Path, remedy: str, task: Task) -> Any:
