@@ -153,18 +153,18 @@ def run_weak(kind: str, seed: int, work: Path) -> dict[str, Any]:
     """The figures of one walk of a kind of `benchmarks.weak_captures`."""
     data = DataRoot(work / "data")
     figures: dict[str, Any] = {"kind": kind}
-    refusal = _mapped(data, lambda folder: write_weak_capture(folder, kind, seed))
+    refusal = _mapped(data, lambda folder: write_weak_capture(folder, kind, seed), "retry=false")
     return figures | (refusal or _cameras("Case", SMALL, data))
 
 
-def _mapped(data: DataRoot, write: Callable[[Path], None]) -> dict[str, Any]:
+def _mapped(data: DataRoot, write: Callable[[Path], None], *settings: str) -> dict[str, Any]:
     """Write a small capture and take it through import and sfm; why one refuses it, where one does."""
     shutil.rmtree(data.root, ignore_errors=True)
     data.captures("Case").parent.mkdir(parents=True)
     write(data.captures("Case"))
     try:
         execute(IMPORT, "Case", SMALL, data, [])
-        execute(SFM, "Case", SMALL, data, SFM_OF_SMALL)
+        execute(SFM, "Case", SMALL, data, [*SFM_OF_SMALL, *settings])
     except UserError as error:
         return {"refused": " ".join(str(error).split())}
     return {}
