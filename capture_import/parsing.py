@@ -8,13 +8,14 @@ import re
 import stat
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from groundwalk.capture_import.capture import GpsFix, Intrinsics, Limits, RawFrame, Reject
+from groundwalk.capture_import.capture import Accelerations, GpsFix, Intrinsics, Limits, RawFrame, Reject
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.lens import rational_of_fisheye
 from groundwalk.geometry.poses import Array, pose_from_tq
@@ -25,6 +26,8 @@ Row = TypeVar("Row")
 
 # A world with +z up, seen with +y up.
 YUP_T_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+# An iPhone's image is upright when the home button is on the right; its screen's x is to the right, y up.
+_CAM_R_PHONE = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 MAX_NS = 2**62  # so that times can be subtracted
 _CAMERA, _SIZE = ("fx", "fy", "cx", "cy"), ("width", "height")
 _MAX_LINE = 1 << 20
@@ -79,6 +82,21 @@ def read_fixes(
         except BadRow as error:
             rejects.append(Reject(source, None, str(error)))
     return fixes, rejects
+
+
+def core_motion(path: Path, limits: Limits, unit_s: float = 1.0) -> Accelerations | None:
+    """What can be read of a log whose rows begin with time, in units of `unit_s`, and an acceleration as Core Motion
+    has it: along the phone's axes; at rest it points down. None where there is no such file; a row more or less
+    says nothing."""
+    if not path.is_file():
+        return None
+    rows = []
+    for _, line in lines_of(path, limits):
+        with suppress(BadRow):
+            time, *acceleration = split_numbers(line, separator=",")[:4]
+            rows.append((seconds_to_ns(time * unit_s), *acceleration))
+    table = np.array([row for row in rows if len(row) == 4], float).reshape(-1, 4)
+    return Accelerations(table[:, 0].astype(np.int64), -table[:, 1:] @ _CAM_R_PHONE.T)
 
 
 def join_by_time(poses: Sequence[RawFrame], images: Sequence[RawFrame]) -> list[RawFrame]:

@@ -11,7 +11,9 @@ DONE, REFUSED = 0, 2
 SIGNAL_CODES = (130, 143, -2, -9, -15)
 MAX_LINES = 60
 _GIB = 1 << 30
-_CRASH = re.compile(r"Traceback \(most recent call last\)|Fatal Python error|Segmentation fault|terminate called")
+_CRASH = re.compile(
+    r"Traceback \(most recent call last\)|Fatal Python error|Segmentation fault|terminate called|\*\*\* SIG\w+ "
+)
 _ESCAPE = re.compile(r"\x1b(?!\[[0-9;?]*[a-zA-Z])")
 
 

@@ -130,7 +130,7 @@ def run_case(case: Case, base: Sandbox, folder: Path, seed: int) -> Outcome:
 def _may_change(name: str, case: Case, status: int, sandbox: Sandbox) -> bool:
     """A stage may write its partial folder, and replace its artefact when it ends well; so may what writes a folder.
     The page of all runs is made anew whatever a stage's end."""
-    if sandbox.folder / name == sandbox.data.root / "runs" / "index.html":
+    if sandbox.folder / name.removesuffix(".partial") == sandbox.data.root / "runs" / "index.html":
         return True
     if case.writes is None:
         return False

@@ -5,8 +5,8 @@ Documented at https://github.com/Varvrar/ios_logger (README, "Dataset format"). 
 - times are seconds since 1970, on one clock in both text files;
 - `ARposes.txt`: time, x, y, z, qw, qx, qy, qz (w first), ARKit's camera to world, at ARKit's rate, which may be twice
   that of the images;
-- `Frames.txt`: time, frame number, fx, fy, cx, cy, a row for each frame of `Frames.m4v` in their order.
-
+- `Frames.txt`: time, frame number, fx, fy, cx, cy, a row for each frame of `Frames.m4v` in their order;
+- `Accel.txt`: time, ax, ay, az as Core Motion has them;
 - `GPS.txt`: time, latitude, longitude and, of newer versions, horizontal accuracy, altitude, vertical accuracy, floor,
   course, speed; accuracies below 0 where there is no position. It is read only where import is asked for GPS.
 
@@ -40,7 +40,11 @@ def read(path: Path, limits: Limits) -> Recording:
     frames = parsing.join_by_time(poses, images)
     gps = path / "GPS.txt"
     read_gps = partial(_read_gps, gps, limits) if gps.is_file() else None
-    return Recording("iOS, ios_logger", Clock.UNIX, path, frames, [*rejects, *more], read_gps=read_gps, notes=notes)
+    felt = parsing.core_motion(path / "Accel.txt", limits)
+    rejects += more
+    return Recording(
+        "iOS, ios_logger", Clock.UNIX, path, frames, rejects, accelerations=felt, read_gps=read_gps, notes=notes
+    )
 
 
 def _read_pose(_: int, line: str) -> RawFrame:

@@ -44,7 +44,8 @@ def read(path: Path, limits: Limits) -> Recording:
             for i, t in enumerate(video_ns)
         ]
         frames = parsing.join_by_time(frames, images)
-    return Recording("iOS, ScanCapture", Clock.BOOT, path, frames, rejects)
+    accelerations = parsing.core_motion(path / "accelerometer.txt", limits, unit_s=1e-6)
+    return Recording("iOS, ScanCapture", Clock.BOOT, path, frames, rejects, accelerations=accelerations)
 
 
 def _read_row(_: int, line: str) -> RawFrame:

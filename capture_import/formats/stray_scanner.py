@@ -8,26 +8,14 @@ Documented at https://github.com/StrayRobots/scanner/blob/main/docs/format.md. W
 - the older generation has one `camera_matrix.csv`, which is the last frame's; the newer logs fx, fy, cx, cy a row;
 - `depth/XXXXXX.png`: 16 bits, millimetres, 256x192; `confidence/XXXXXX.png`: 0, 1 or 2, higher is surer; both by the
   frame's number. The first generation's depth, `.npy` files, isn't read;
-- `imu.csv`: `timestamp` on the same clock, and `a_x, a_y, a_z` as Core Motion has them: along the phone's axes (x to
-  the right, y up its screen), at rest they point down.
+- `imu.csv`: `timestamp` on the same clock, and `a_x, a_y, a_z` as Core Motion has them.
 """
 
 import csv
-from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
-
 from groundwalk.capture_import import parsing
-from groundwalk.capture_import.capture import (
-    Accelerations,
-    DepthFile,
-    Intrinsics,
-    Limits,
-    RawFrame,
-    Recording,
-    VideoFrame,
-)
+from groundwalk.capture_import.capture import DepthFile, Intrinsics, Limits, RawFrame, Recording, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.media.video import check_join
 from groundwalk.store import UserError
@@ -35,8 +23,6 @@ from groundwalk.store.choices import Clock
 
 _COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 _PER_FRAME = ("fx", "fy", "cx", "cy")
-# The image is upright when the home button is on the right.
-_CAM_R_PHONE = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def read(path: Path, limits: Limits) -> Recording:
@@ -69,19 +55,8 @@ def read(path: Path, limits: Limits) -> Recording:
     frames, rejects = parsing.read_rows(rows, read_row)
     notes = ["one camera matrix, the last frame's, stands for all frames"] if shared else []
     notes += check_join(video, "odometry.csv", frames, len(rows), limits)
-    accelerations = _accelerations(path / "imu.csv", limits) if (path / "imu.csv").is_file() else None
+    accelerations = parsing.core_motion(path / "imu.csv", limits)
     return Recording("iOS, Stray Scanner", Clock.BOOT, path, frames, rejects, accelerations=accelerations, notes=notes)
-
-
-def _accelerations(path: Path, limits: Limits) -> Accelerations:
-    """What can be read of the log: one of its rows more or less says nothing."""
-    rows = []
-    for _, line in parsing.lines_of(path, limits):
-        with suppress(parsing.BadRow):
-            t_s, *acceleration = parsing.split_numbers(line, separator=",")[:4]
-            rows.append((parsing.seconds_to_ns(t_s), *acceleration))
-    table = np.array([row for row in rows if len(row) == 4], float).reshape(-1, 4)
-    return Accelerations(table[:, 0].astype(np.int64), -table[:, 1:] @ _CAM_R_PHONE.T)
 
 
 def _camera_matrix(file: Path) -> Intrinsics:

@@ -106,7 +106,8 @@ def in_children(text: str, log: Path, remedy: str, tasks: list[Task]) -> list[An
 def _start(task: Task, log: Path) -> _Running:
     here, there = _CONTEXT.Pipe(duplex=False)
     process = _CONTEXT.Process(target=_work, args=(there, log, task.function, task.arguments), daemon=True)
-    with _hidden_main(), signals_held_from_workers():
+    # Nor does SIGTERM reach them: glog, which comes with pycolmap, would print a stack.
+    with _hidden_main(), signals_held_from_workers(signal.SIGTERM):
         process.start()
     there.close()
     return _Running(process, here)

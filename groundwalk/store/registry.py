@@ -19,6 +19,7 @@ from groundwalk.store import progress
 from groundwalk.store.builtin import BUILTIN
 from groundwalk.store.errors import UserError
 from groundwalk.store.settings import Settings, validated
+from groundwalk.store.signals import keep_handlers
 
 Colour = tuple[int, int, int]
 GROUNDWALK = "groundwalk"
@@ -38,7 +39,9 @@ class Lazy:
 
     def load(self) -> Any:
         """What it stands for, imported."""
-        return pkgutil.resolve_name(self.reference)
+        loaded = pkgutil.resolve_name(self.reference)
+        keep_handlers()
+        return loaded
 
     def __call__(self, *arguments: Any, **more: Any) -> Any:
         return self.load()(*arguments, **more)

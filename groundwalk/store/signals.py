@@ -2,6 +2,7 @@
 
 import contextlib
 import signal
+import threading
 from collections.abc import Iterator
 from multiprocessing import resource_tracker
 from types import FrameType
@@ -32,11 +33,18 @@ def signals_raise() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def keep_handlers() -> None:
+    """Python's handler of SIGTERM again, after modules were loaded: glog, which comes with pycolmap, has put one of its
+    own there, that prints a stack and ends the process."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
+
+
 @contextlib.contextmanager
-def signals_held() -> Iterator[None]:
-    """Processes that are started in the block never get Ctrl-C, as a terminal sends it to them too: their parent ends
-    them. This process gets it when the block ends."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+def signals_held(*more: signal.Signals) -> Iterator[None]:
+    """Processes that are started in the block never get Ctrl-C, as a terminal sends it to them too, nor the signals
+    that are named: their parent ends them. This process gets these when the block ends."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, *more})
     try:
         yield
     finally:
@@ -44,10 +52,10 @@ def signals_held() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def signals_held_from_workers() -> Iterator[None]:
+def signals_held_from_workers(*more: signal.Signals) -> Iterator[None]:
     """The same of multiprocessing's processes, whose tracker, begun with the first, would let Ctrl-C through again."""
     resource_tracker.ensure_running()
-    with signals_held():
+    with signals_held(*more):
         yield
 
 

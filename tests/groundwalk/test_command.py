@@ -337,6 +337,11 @@ def test_a_removed_current_folder_is_named(tmp_path: Path) -> None:
     assert done.returncode == 2 and done.stderr.startswith("error: the current folder has been removed")
 
 
+def test_a_number_of_threads_that_is_none_is_named() -> None:
+    done = groundwalk("scenes", OMP_NUM_THREADS="abc")
+    assert done.returncode == 2 and done.stderr.startswith("error: OMP_NUM_THREADS is no number of threads")
+
+
 def test_stages_that_are_not_up_to_date_are_run(
     make_run: Callable[..., MadeUpRun], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

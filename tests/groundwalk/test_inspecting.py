@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -80,6 +81,14 @@ def test_the_command_writes_one_file_of_any_capture(tmp_path: Path, kind: str) -
     assert "<b>0.jpg" not in html and not re.search(r"(src|href)=.(?!data:|#)", html)
     assert html.count("data:image/jpeg") == (12 if kind == "walk" else 4)
     assert ('class="vio"' in html) == (kind == "walk")
+
+
+@pytest.mark.parametrize(("unit_m", "status"), [(1.0, 0), (1e-3, 1)])
+def test_the_exit_status_says_whether_a_capture_can_be_used(tmp_path: Path, unit_m: float, status: int) -> None:
+    walk = make_walk()
+    poses = make_pose(walk.vio_T_cam[:, :3, :3], walk.vio_T_cam[:, :3, 3] / unit_m)
+    write_frames_jsonl(tmp_path / "walk", replace(walk, vio_T_cam=poses))
+    assert CliRunner().invoke(app, ["inspect", str(tmp_path / "walk")]).exit_code == status
 
 
 def test_a_page_that_cannot_be_written_is_refused_first(tmp_path: Path) -> None:

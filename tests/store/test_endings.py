@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 
 from groundwalk.store import DataRoot, StageRun, UserError, execute
-from groundwalk.store.child import ProcessDied, Report, Task, in_child
+from groundwalk.store.child import ProcessDied, Report, Task, in_child, preload
 from groundwalk.store.cli import stage_app
+from groundwalk.store.registry import Lazy
 from groundwalk.store.signals import Stopped
 from tests.known import filled
 from tests.store.places import NoSettings, stage
@@ -32,6 +33,13 @@ def wait_in_child(report: Report, flag: Path) -> None:
 
 def wait(r: StageRun[NoSettings]) -> None:
     in_child("waiting", r.scratch / "log", "", Task(wait_in_child, (r.data.root / WAITING,)))
+
+
+def wait_beside_colmap(r: StageRun[NoSettings]) -> None:
+    """As sfm does: pycolmap is loaded when the stage runs, and in the process that its children are forked from."""
+    Lazy("pycolmap:Reconstruction").load()
+    preload("pycolmap")
+    wait(r)
 
 
 def fill(r: StageRun[NoSettings]) -> None:
@@ -65,18 +73,18 @@ def start(
 
 
 @pytest.mark.parametrize(
-    ("number", "group", "options", "again"),
+    ("run", "number", "group", "options", "again"),
     [
-        (signal.SIGINT, True, (), RESUMES),
-        (signal.SIGTERM, False, ("--force",), FORCED),
-        pytest.param(signal.SIGINT, False, (), RESUMES, marks=pytest.mark.slow),
-        pytest.param(signal.SIGTERM, True, (), RESUMES, marks=pytest.mark.slow),
+        ("wait", signal.SIGINT, True, (), RESUMES),
+        ("wait", signal.SIGTERM, False, ("--force",), FORCED),
+        ("wait_beside_colmap", signal.SIGTERM, True, (), RESUMES),
+        pytest.param("wait", signal.SIGINT, False, (), RESUMES, marks=pytest.mark.slow),
     ],
 )
 def test_a_signal_ends_a_stage_with_one_line_and_its_exit_code(
-    data: DataRoot, number: signal.Signals, group: bool, options: tuple[str, ...], again: str
+    data: DataRoot, run: str, number: signal.Signals, group: bool, options: tuple[str, ...], again: str
 ) -> None:
-    process = start("wait", data, options=options)
+    process = start(run, data, options=options)
     deadline = time.monotonic() + 60
     while not (data.root / WAITING).exists():
         assert process.poll() is None and time.monotonic() < deadline

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +26,9 @@ from tests.capture_import.capture_writers import (
     reader_of,
     sessions_in,
     write_frames_jsonl,
+    write_ios_logger,
     write_record3d,
+    write_scan_capture,
     write_stray_scanner,
 )
 from tests.known import there
@@ -65,22 +68,32 @@ def test_poses_relative_to_the_first_camera_have_no_gravity(tmp_path: Path, caps
     assert "gravity    unknown: the first pose lies exactly" in text and "its gravity is unknown" in text
 
 
-def write_imu(folder: Path, walk: Walk) -> None:
+def write_imu(file: Path, walk: Walk, unit_s: float) -> None:
     """Of a phone that is held with its home button to the right: its x points up in the image, its y to the left."""
     rng = np.random.default_rng(0)
     rows = ["timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z"]
     for t_ns, pose in zip(np.repeat(walk.t_ns, 20), np.repeat(make_walk().vio_T_cam, 20, axis=0), strict=True):
         right, down, forward = pose[:3, :3].T @ [0.0, -1.0, 0.0] + rng.normal(0, 0.1, 3)
-        rows.append(f"{t_ns * 1e-9:.6f}, {-down}, {-right}, {-forward}, 0.0, 0.0, 0.0")
-    (folder / "imu.csv").write_text("\n".join([*rows, "torn, row"]))
+        rows.append(f"{t_ns * 1e-9 / unit_s:.6f}, {-down}, {-right}, {-forward}, 0.0, 0.0, 0.0")
+    file.write_text("\n".join([*rows, "torn, row"]))
 
 
+@pytest.mark.parametrize(
+    ("write", "log", "unit_s"),
+    [
+        (write_stray_scanner, "imu.csv", 1),
+        (write_ios_logger, "Accel.txt", 1),
+        (write_scan_capture, "accelerometer.txt", 1e-6),
+    ],
+)
 @pytest.mark.parametrize(("tilt_deg", "says"), [(0, r"\+y is up"), (40, "unknown")])
-def test_an_accelerometer_says_whether_y_is_up(tmp_path: Path, tilt_deg: float, says: str) -> None:
+def test_an_accelerometer_says_whether_y_is_up(
+    tmp_path: Path, write: Callable[[Path, Walk], None], log: str, unit_s: float, tilt_deg: float, says: str
+) -> None:
     walk = make_walk()
     tilt = make_pose(Rotation.from_euler("x", tilt_deg, degrees=True).as_matrix(), [0, 0, 0])
-    write_stray_scanner(tmp_path / "walk", replace(walk, vio_T_cam=tilt @ walk.vio_T_cam))
-    write_imu(tmp_path / "walk", walk)
+    write(tmp_path / "walk", replace(walk, vio_T_cam=tilt @ walk.vio_T_cam))
+    write_imu(tmp_path / "walk" / log, walk, unit_s)
     text = "\n".join(inspect_capture(tmp_path / "walk"))
     found = re.search(rf"gravity +{says}: the accelerometer's mean over \d+ samples is ([\d.]+)° from \+y", text)
     assert found is not None and abs(float(found[1]) - tilt_deg) < 1.5
