@@ -1,5 +1,7 @@
 """Which frames share a lens, and what is known of it before a model tells."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,7 +11,7 @@ from groundwalk.sfm.settings import SfmSettings
 from tests.known import cells
 
 
-def frames_of(distortion: list[list[float]], **columns: object) -> pd.DataFrame:
+def frames_of(distortion: list[list[float]], **columns: Any) -> pd.DataFrame:
     row = {"session_id": "walk", "width": 640, "height": 480, "fx": 480.0, "fy": 480.0, "cx": 320.0, "cy": 240.0}
     frames = pd.DataFrame([row | {"stated_readout_s": np.nan}] * len(distortion)).assign(**columns)
     return frames.assign(distortion=cells(distortion))

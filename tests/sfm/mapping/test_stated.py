@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.lens import distort
@@ -46,7 +47,7 @@ def checked(
     seen = np.stack([project(xyz, T, true, w, readout_s) for T, w in zip(sfm_T_cam, angular, strict=True)])
     slide = np.einsum("fij,pj->fpi", rng.normal(0, slide_px, (FRAMES, 2, 3)), xyz)
     seen += rng.normal(0, NOISE_PX, seen.shape) + slide
-    inside = ((seen > 0) & (seen < [WIDTH, HEIGHT])).all(axis=2)
+    inside: NDArray[np.bool_] = np.all((seen > 0) & (seen < [WIDTH, HEIGHT]), axis=2)
     held_out = rng.random(POINTS) < 0.1
 
     model = pycolmap.Reconstruction()
