@@ -176,7 +176,7 @@ def finish_interrupted_swap(final: Path, last: str, made: Callable[[Path], Colle
     if read_json(work / last):
         refuse_irreplaceable(final)
         swap_in(work, final, made)
-    elif old.exists() and not final.exists():
+    elif old.is_dir() and not old.is_symlink() and not os.path.lexists(final):
         old.rename(final)
     _drop_old(final, made)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from groundwalk.store import DataRoot, StageRun, UserError, execute
-from groundwalk.store.files import fresh_folder
+from groundwalk.store.files import finish_interrupted_swap, fresh_folder, old_folder
 from groundwalk.store.locks import lock_file, locked
 from tests.store.places import NoSettings, stage
 
@@ -94,6 +94,17 @@ def test_a_file_or_a_mounted_disk_in_a_folders_place_is_refused_before_the_work(
     monkeypatch.setattr(Path, "is_mount", lambda self: self == place)
     with pytest.raises(UserError, match=r"found: +a disk of its own"):
         execute(stage(lambda r: pytest.fail("worked"), "sfm"), "place", "own", data)
+
+
+def test_a_link_in_the_place_of_a_folder_that_was_replaced_never_becomes_the_folder(
+    data: DataRoot, tmp_path: Path
+) -> None:
+    final, elsewhere = data.run("tiny", "room", "first"), tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    final.parent.mkdir(parents=True)
+    old_folder(final).symlink_to(elsewhere, target_is_directory=True)
+    finish_interrupted_swap(final, "manifest.json", lambda folder: set())
+    assert not os.path.lexists(final) and not os.path.lexists(old_folder(final)) and elsewhere.is_dir()
 
 
 def test_what_comes_to_an_output_folder_while_it_is_written_anew_stays(tmp_path: Path) -> None:
