@@ -40,7 +40,6 @@ def run_size(frames: int, root: DataRoot) -> dict[str, Any]:
     for stage, module in _MODULES.items():
         cost = run_stage(module, _SCENE, root)
         row |= {f"{stage} s": cost.wall_s, f"{stage} cpu s": cost.cpu_s, f"{stage} MiB": cost.peak_mib}
-        row[f"{stage} disk MiB"] = cost.written_mib
     truth, targets, _ = ground_truth_targets(_SCENE, root)
     row |= {target.name: target.value for target in targets}
     row["models"] = load_manifest(root.run(PROFILE, _SCENE, "sfm"))["figures"]["models"]
@@ -58,7 +57,7 @@ def _exponent(rows: pd.DataFrame, column: str) -> str:
 def _table(rows: pd.DataFrame) -> Iterable[list[str]]:
     yield [
         *("frames", "with ground truth", "A, B, C", "models", "position cm: median, p95", "rotation deg"),
-        *("inside 95 % bounds", *(f"{stage} s (processor), MiB" for stage in _MODULES), "on disk MiB", "load"),
+        *("inside 95 % bounds", *(f"{stage} s (processor), MiB" for stage in _MODULES), "load"),
     ]
     for row in rows.to_dict("records"):
         yield [
@@ -70,7 +69,6 @@ def _table(rows: pd.DataFrame) -> Iterable[list[str]]:
             f"{row['rotation error, median']:.3f}",
             f"{row['position within 95 % bounds, whole']:.0f} %",
             *(f"{row[f'{s} s']:.0f} ({row[f'{s} cpu s']:.0f}), {row[f'{s} MiB']:.0f}" for s in _MODULES),
-            f"{sum(row[f'{stage} disk MiB'] for stage in _MODULES):.0f}",
             f"{row['load']:.1f}",
         ]
 
