@@ -1,7 +1,8 @@
 """Adjusting a COLMAP model with the cameras of phones (module `adjustment`), and the file of the result."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ from groundwalk.sfm.cameras.lenses import (
     prior_lenses,
 )
 from groundwalk.sfm.cameras.motion import Motion, motion_by_vio
+from groundwalk.sfm.cameras.time_offset import offset_of_frames
 from groundwalk.sfm.database import Ints, image_id, pose_of
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import CameraOrigin
@@ -81,7 +83,19 @@ class CameraLog:
     focal_sd: Array
     lenses: SceneLenses
     motion: Motion
+    motion_at: Callable[[Array], Motion]
+    """Of all frames so many seconds (N,) before their time stamps."""
     held_velocity: Array | None = None
+
+    def at_middle_rows(self, model: pycolmap.Reconstruction) -> "CameraLog":
+        """The same with the motion at the times of middle rows, where a model's frames tell them (`time_offset`)."""
+        registered = np.array(sorted(model.reg_image_ids()), np.int64) - 1
+        offset_s = np.zeros(len(self.t_s))
+        for lens in np.unique(self.lenses.lens[registered]).tolist():
+            is_free = self.lenses.lens == lens
+            poses = np.where(is_free[:, None, None], self.vio_T_cam, np.nan)
+            offset_s[is_free] = offset_of_frames(model, self.session, self.t_s, poses, self.motion.angular)
+        return replace(self, motion=self.motion_at(offset_s)) if offset_s.any() else self
 
     def with_priors(self, priors: Mapping[int, LensPrior]) -> "CameraLog":
         """The same with other priors of some lenses, by their numbers."""
@@ -107,6 +121,7 @@ def camera_log(
         frames["focal_sd"].to_numpy(float),
         prior_lenses(frames, device_of_session, settings),
         motion_by_vio(frames, log, jumps),
+        partial(motion_by_vio, frames[["session_id", "t_ns"]], log, jumps),
     )
 
 

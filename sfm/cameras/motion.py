@@ -27,14 +27,18 @@ class Motion:
     known: NDArray[np.bool_]
 
 
-def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame, jumps: pd.DataFrame) -> Motion:
-    """From all poses of the log and its jumps (tables import.vio and import.jumps), at the frames' time stamps.
+def motion_by_vio(
+    frames: pd.DataFrame, log: pd.DataFrame, jumps: pd.DataFrame, time_offset_s: Array | float = 0.0
+) -> Motion:
+    """From all poses of the log and its jumps (tables import.vio and import.jumps), `time_offset_s` (N,) before the
+    frames' time stamps.
 
     The sd is half of what the rates of splines and of neighbouring poses differ by, root mean square over the session:
     the motion of a hand between two logged poses isn't known better.
     """
     rates = Rates(*(np.full((len(frames), 3), np.nan) for _ in range(3)))
     session_N, t_ns = frames["session_id"].to_numpy(str), frames["t_ns"].to_numpy(np.int64)
+    t_ns = t_ns - np.round(1e9 * np.asarray(time_offset_s)).astype(np.int64)
     for session, poses in log.groupby("session_id"):
         rows, poses = np.flatnonzero(session_N == session), poses.sort_values("t_ns")
         log_t_ns, jump_t_ns = (t["t_ns"].to_numpy(np.int64) for t in (poses, jumps[jumps["session_id"] == session]))

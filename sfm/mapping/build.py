@@ -62,6 +62,7 @@ def build_models(
         for other in set(model.reg_frame_ids()) & assigned:
             model.deregister_frame(other)
         try:
+            log = log.at_middle_rows(model)
             log, checks = check_stated(model, matches, keypoints, log, settings, Held())
             adjusted, rows, misplaced = adjust_without_misplaced(model, matches, keypoints, log, settings, Held())
         except LinAlgError as error:

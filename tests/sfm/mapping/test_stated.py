@@ -81,7 +81,8 @@ def checked(
         sfm_T_cam,
         np.zeros(FRAMES),
         SceneLenses([prior], np.zeros(FRAMES, np.int64)),
-        Motion(angular, np.full(FRAMES, 0.005), np.zeros((FRAMES, 3)), np.ones(FRAMES, bool)),
+        motion := Motion(angular, np.full(FRAMES, 0.005), np.zeros((FRAMES, 3)), np.ones(FRAMES, bool)),
+        lambda offset_s: motion,
     )
     decided, (check,) = check_stated(model, matches, list(seen), log, settings or SfmSettings(), Held())
     assert model.num_reg_frames() == FRAMES and np.allclose(model.cameras[1].params[4:6], stated), "it stays as it is"
