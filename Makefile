@@ -33,9 +33,9 @@ ifeq ($(scene),)
 $(error name a scene, for example `make scene=Church all`; `make help` lists the scenes)
 endif
 endif
-ifneq ($(filter judge,$(MAKECMDGOALS)),)
+ifneq ($(filter judge public,$(MAKECMDGOALS)),)
 ifeq ($(captures),)
-$(error name a folder of captures: `make captures=<folder> judge`)
+$(error name a folder of captures: `make captures=<folder> $(firstword $(filter judge public,$(MAKECMDGOALS)))`)
 endif
 endif
 

@@ -20,7 +20,7 @@ import typer
 from benchmarks.cost import run_timed
 from benchmarks.real import standard_cases
 from benchmarks.real_building import WALLS, wall_figures
-from benchmarks.real_figures import ALL, OURS, STOCK, Figure, Run, agreement_alone, run_stages
+from benchmarks.real_figures import ALL, OURS, STOCK, Figure, Run, agreement_alone, paths_of, run_stages
 from benchmarks.results import circumstances_of, markdown_table, write_page
 from benchmarks.stock import SPATIAL_M, stock_command
 from groundwalk.sfm.settings import SfmSettings
@@ -57,10 +57,7 @@ def stock_figures(run: Run, folder: Path, way: str, is_of_right_angles: bool) ->
         return [*figures, Figure("images registered", 0)]
     figures.append(Figure("images registered", int(model.registered.sum())))
     figures.append(Figure("reprojection error, mean", model.mean_error_px, "px"))
-    figures += [f for f in agreement_alone(told) if f.way == STOCK and not f.subject]
-    if is_of_right_angles:
-        figures += [f for f in wall_figures(told, folder / "walls.png") if f.way == STOCK]
-    return figures
+    return figures + _agreement(told, folder, STOCK, is_of_right_angles)
 
 
 def our_figures(run: Run, folder: Path, is_of_right_angles: bool) -> list[Figure]:
@@ -74,10 +71,13 @@ def our_figures(run: Run, folder: Path, is_of_right_angles: bool) -> list[Figure
         Figure("images registered", values["registered"]),
         Figure("reprojection error, mean", values["mean_reprojection_px"], "px"),
     ]
-    figures += [f for f in agreement_alone(run) if f.way == OURS and not f.subject]
-    if is_of_right_angles:
-        figures += [f for f in wall_figures(run, folder / "walls.png") if f.way == OURS]
-    return figures
+    return figures + _agreement(run, folder, OURS, is_of_right_angles)
+
+
+def _agreement(run: Run, folder: Path, way: str, is_of_right_angles: bool) -> list[Figure]:
+    """Of one way with VIO and, where there are some, with walls at right angles."""
+    figures = agreement_alone(paths_of(run)) + (wall_figures(run, folder / "walls.png") if is_of_right_angles else [])
+    return [figure for figure in figures if figure.way == way and not figure.subject]
 
 
 def _table(rows: Iterable[dict[str, Any]]) -> Iterable[list[str]]:

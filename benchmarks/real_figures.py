@@ -347,9 +347,8 @@ def placed_alone(paths: Paths) -> tuple[Placed, Placed]:
     )
 
 
-def agreement_alone(run: Run) -> list[Figure]:
+def agreement_alone(paths: Paths) -> list[Figure]:
     """Agreement with VIO of each way on all of its frames."""
-    paths = paths_of(run)
     ours, stock = placed_alone(paths)
     return _agreement(paths, ours, ALL) + _agreement(paths, stock, ALL, STOCK)
 
@@ -358,7 +357,7 @@ def _agreement_figures(run: Run) -> list[Figure]:
     """Agreement with VIO on the frames that both ways have, each way fitted in the same groups; and of each way on all
     of its frames: a model that is folded may be right on those that both have."""
     paths = paths_of(run)
-    figures = agreement_alone(run)
+    figures = agreement_alone(paths)
     both = paths.groups(ours=True, stock=True)
     ours, stock = (place(paths.vio_T_cam, poses, both) for poses in (paths.ours_T_cam, paths.stock_T_cam))
     by_way = {OURS: _agreement(paths, ours, COMMON), STOCK: _agreement(paths, stock, COMMON, STOCK)}

@@ -12,6 +12,7 @@ from groundwalk.simulation.existing import is_up_to_date as captures_are_up_to_d
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import read_json
+from groundwalk.store.hints import simulate_command
 from groundwalk.store.inputs import capture_files, hashes_of_named, no_captures
 from groundwalk.store.manifests import MANIFEST
 from groundwalk.store.outdated import is_up_to_date
@@ -101,13 +102,12 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
 def _of_another_profile(scene: str, profile: str, data: DataRoot) -> str:
     """What to say of simulated captures that this profile would have made otherwise; empty where it wouldn't."""
     other = marker_of(data.captures(scene)).get("profile")
-    if other is None or not data.scene(scene)[0].can_simulate:
-        return ""
-    if is_step_up_to_date(Step("simulate", scene), profile, data):
+    is_simulated = other is not None and data.scene(scene)[0].can_simulate
+    if not is_simulated or is_step_up_to_date(Step("simulate", scene), profile, data):
         return ""
     return (
         f"captures · {scene} · {profile}: simulated for profile {other} and used as they are; for those of {profile}, "
-        f"which take their place: groundwalk simulate --scene {scene} --profile {profile} --data {data.root}"
+        f"which take their place: {simulate_command(data.captures(scene), profile)}"
     )
 
 

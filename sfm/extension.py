@@ -21,7 +21,7 @@ from groundwalk.sfm.mapping.built import BuiltModel, selected_models
 from groundwalk.sfm.model import Model
 from groundwalk.sfm.pairs.matched import are_verified, rows_of
 from groundwalk.sfm.pairs.odometry import Odometry
-from groundwalk.sfm.scene_input import logged_cameras, with_focal_lengths
+from groundwalk.sfm.scene_input import logged_cameras, with_focal_lengths, with_start_lenses
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.choices import CameraOrigin
@@ -91,7 +91,9 @@ class HeldArtefact:
             frames = frames.copy()
             for name in ("fx", "fy", "focal_sd"):
                 frames.loc[new, name] = of_new[name].to_numpy()
-        log = logged_cameras(r, frames, sessions, vio, work)
+        log = logged_cameras(r, frames, sessions)
+        if np.setdiff1d(log.lenses.lens[new], log.lenses.lens[old]).size:
+            log = with_start_lenses(r, frames, vio, work, log)
         lenses, lens = list(log.lenses.priors), log.lenses.lens.copy()
         adjusted = np.zeros((len(frames), _COEFFICIENTS + 1))
         for row, coefficients, readout_s in zip(old, self.images["distortion"], self.images["readout_s"], strict=True):

@@ -132,12 +132,16 @@ def extracted_features(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Wor
     return database
 
 
-def logged_cameras(
-    r: StageRun[SfmSettings], frames: pd.DataFrame, sessions: pd.DataFrame, vio: Odometry, work: Workspace
-) -> CameraLog:
-    """The cameras of all frames before a model of them is adjusted, with the lenses that mapping starts from."""
+def logged_cameras(r: StageRun[SfmSettings], frames: pd.DataFrame, sessions: pd.DataFrame) -> CameraLog:
+    """The cameras of all frames before a model of them is adjusted."""
     devices = dict(zip(sessions["session_id"], sessions["device"], strict=True))
-    cameras = camera_log(frames, devices, r.read("import", "vio"), r.read("import", "jumps"), r.settings)
+    return camera_log(frames, devices, r.read("import", "vio"), r.read("import", "jumps"), r.settings)
+
+
+def with_start_lenses(
+    r: StageRun[SfmSettings], frames: pd.DataFrame, vio: Odometry, work: Workspace, cameras: CameraLog
+) -> CameraLog:
+    """The cameras with the lenses that mapping starts from."""
     if r.settings.refine_cameras == "never":
         return cameras
     path = work.scratch / "start_lenses.json"

@@ -52,7 +52,8 @@ def run(r: StageRun[SfmSettings]) -> None:
     vio = scene_input.odometry_of(frames, r.read("import", "jumps"), sessions)
     if held is None:
         frames = scene_input.with_focal_lengths(r, frames, work)
-        cameras = scene_input.logged_cameras(r, frames, sessions, vio, work)
+        cameras = scene_input.logged_cameras(r, frames, sessions)
+        cameras = scene_input.with_start_lenses(r, frames, vio, work, cameras)
     else:
         frames, cameras = held.cameras(r, frames, sessions, vio, work)
     frames = with_lenses(frames, cameras.lenses)
@@ -177,11 +178,9 @@ def _covariances(
     estimates: list[Covariances | None] = []
     covariance = np.full((frames, 6, 6), np.nan)
     for one, (bundle, rows) in zip(models, adjusted, strict=True):
-        estimate = None
-        if is_large(len(rows)):  # its frames are of class C
-            r.say(f"model {one.model_id}: no covariances of {len(rows)} frames: they are too many for the memory")
-        elif (estimate := covariances(bundle)) is None:
-            r.say(f"model {one.model_id}: no covariances: too few points")
+        if (estimate := covariances(bundle)) is None:  # its frames are of class C
+            why = f"{len(rows)} frames are too many for the memory" if is_large(len(rows)) else "too few points"
+            r.say(f"model {one.model_id}: no covariances: {why}")
         else:
             covariance[rows] = estimate.poses
             messages.report_coherence(r, one, estimate)

@@ -8,7 +8,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.cameras.adjustment import LENS_UNKNOWNS, Adjusted, Cameras, Ints
+from groundwalk.sfm.cameras.adjustment import LENS_UNKNOWNS, RADIAL, Adjusted, Cameras, Ints
 from groundwalk.sfm.cameras.lenses import distortion_lists
 from groundwalk.sfm.cameras.model_adjustment import EXACT_SD, CameraLog
 from groundwalk.sfm.database import keypoint_counts
@@ -109,7 +109,7 @@ def camera_tables(
         focal_sd[priors.log_focal_sd <= EXACT_SD] = np.nan
         checks = {check["lens"]: check for check in one.stated}
         for number, index in enumerate(np.unique(log.lenses.lens[rows])):
-            lens, coefficients = log.lenses.priors[index], cameras.coefficients[number, [0, 1, 4]]
+            lens, coefficients = log.lenses.priors[index], cameras.coefficients[number, RADIAL]
             readout_s, check = cameras.readout_s[number], checks.get(index, {})
             row = {"lens_id": lens.lens_id, "origin": origins[rows[cameras.lens == number][0]]}
             row |= dict(zip(("k1", "k2", "k3"), coefficients, strict=True))

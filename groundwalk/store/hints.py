@@ -28,6 +28,11 @@ def view_command(run: Path) -> str:
     return _command(run.parents[2], scene, profile, "view", "view")
 
 
+def simulate_command(captures: Path, profile: str) -> str:
+    """What simulates the captures data/captures/<scene> as a profile has them, in place of those that are there."""
+    return _command(captures.parents[1], captures.name, profile, "simulate", "simulate")
+
+
 def link_command(captures: Path, profile: str) -> str:
     """What runs a scene on captures of the user's own, which become the folder data/captures/<scene>."""
     goal, option = "captures=<your folder> all", " --captures <your folder>"

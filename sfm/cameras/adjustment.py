@@ -31,8 +31,9 @@ Ints = NDArray[np.int64]
 
 _POSE, _FOCUS, _ANGULAR = slice(0, 6), 6, slice(7, 10)
 _LOCAL = 10
-LENS_UNKNOWNS, _READOUT = 4, 3  # k1, k2, k3, readout of a lens; the last one's number
-_RADIAL = [0, 1, 4]  # k1, k2, k3 of OpenCV's coefficients
+LENS_UNKNOWNS, READOUT = 4, 3  # k1, k2, k3, readout of a lens; the last one's number
+RADIAL = [0, 1, 4]
+"""k1, k2, k3 of OpenCV's coefficients."""
 _MIN_LOSS_PX = 0.05
 _MAX_STEPS = 15
 # While cameras may be far off: misfit in the corners is no outlier, so a wider loss lets it count.
@@ -201,9 +202,9 @@ def linearize(bundle: Bundle, cameras: Cameras) -> Linearization:
     by_frame[:, :, 3:6] = -by_point
     by_frame[:, :, _FOCUS] = pixel - cameras.intrinsics[i, 2:]
     by_frame[:, :, _ANGULAR] = by_q @ (tau[:, None, None] * skew(q))
-    by_shared[:, :, : len(_RADIAL)] = focal[:, :, None] * slope_by_numerator(n, cameras.coefficients[cameras.lens[i]])
+    by_shared[:, :, : len(RADIAL)] = focal[:, :, None] * slope_by_numerator(n, cameras.coefficients[cameras.lens[i]])
     moving = np.cross(q, cameras.angular[i]) - turn.apply(cameras.velocity[i])
-    by_shared[:, :, _READOUT] = np.einsum("mij,mj->mi", by_q, moving * forward.row[:, None])
+    by_shared[:, :, READOUT] = np.einsum("mij,mj->mi", by_q, moving * forward.row[:, None])
     by_shared[:, :, LENS_UNKNOWNS] = by_frame[:, :, _FOCUS]
     by_camera[np.isin(i, bundle.held_frames)] = 0.0
     by_point[np.isin(bundle.point, bundle.held_points)] = 0.0
@@ -305,7 +306,7 @@ def camera_unknowns(cameras: Cameras) -> Array:
     """(10 N + G,) the unknowns of the cameras as a vector; 0 for poses."""
     of_frame = np.zeros((len(cameras.t_s), _LOCAL))
     of_frame[:, _FOCUS], of_frame[:, _ANGULAR] = cameras.focus, cameras.angular
-    of_lens = np.concatenate([cameras.coefficients[:, _RADIAL], cameras.readout_s[:, None]], axis=1)
+    of_lens = np.concatenate([cameras.coefficients[:, RADIAL], cameras.readout_s[:, None]], axis=1)
     return np.concatenate([of_frame.ravel(), of_lens.ravel(), cameras.log_focal])
 
 
@@ -318,13 +319,13 @@ def with_step(bundle: Bundle, cameras: Cameras, step: Array, point_step: Array) 
     sfm_T_cam[:, :3, :3] = Rotation.from_rotvec(of_frame[:, :3]).as_matrix() @ sfm_T_cam[:, :3, :3]
     sfm_T_cam[:, :3, 3] += of_frame[:, 3:6]
     coefficients = cameras.coefficients.copy()
-    coefficients[:, _RADIAL] += of_lens[:, :_READOUT]
+    coefficients[:, RADIAL] += of_lens[:, :READOUT]
     moved = replace(
         cameras,
         focus=cameras.focus + of_frame[:, _FOCUS],
         angular=cameras.angular + of_frame[:, _ANGULAR],
         coefficients=coefficients,
-        readout_s=cameras.readout_s + of_lens[:, _READOUT],
+        readout_s=cameras.readout_s + of_lens[:, READOUT],
         log_focal=cameras.log_focal + step[_LOCAL * frames + LENS_UNKNOWNS * lenses :],
     )
     return replace(bundle, sfm_T_cam=sfm_T_cam, xyz=bundle.xyz + point_step), moved
@@ -415,7 +416,7 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
     variance = loss_variance(adjusted.loss_px)
     by_images = np.sum(1 - _of_frames(variance * np.diag(inverse), cameras)[1] / adjusted.priors.angular_sd**2, axis=1)
     pull = np.zeros(len(inverse))
-    readout = _LOCAL * len(cameras.t_s) + LENS_UNKNOWNS * np.arange(len(cameras.readout_s)) + _READOUT
+    readout = _LOCAL * len(cameras.t_s) + LENS_UNKNOWNS * np.arange(len(cameras.readout_s)) + READOUT
     rolls = np.abs(cameras.readout_s) > _MIN_READOUT_S
     pull[readout[rolls]] = variance * np.bincount(cameras.lens, by_images)[rolls] / cameras.readout_s[rolls]
     step = -inverse @ pull

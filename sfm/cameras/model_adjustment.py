@@ -216,8 +216,8 @@ def with_lenses_of(log: CameraLog, adjusted: Adjusted, rows: Ints) -> CameraLog:
 def known_lens(lens: LensPrior, coefficients: Array, readout_s: float) -> LensPrior:
     """A lens with the coefficients (8,) and readout that a model of other frames of it has, as a prior."""
     sd = np.minimum(np.sqrt(np.diag(lens.covariance)), _SAME_LENS_SD)
-    k3_sd = min(lens.k3_sd, KNOWN_K3_SD)
-    return replace(lens, coefficients=coefficients, readout_s=readout_s, covariance=np.diag(sd**2), k3_sd=k3_sd)
+    covariance, k3_sd = np.diag(sd**2), min(lens.k3_sd, KNOWN_K3_SD)
+    return replace(lens, coefficients=coefficients, readout_s=readout_s, covariance=covariance, k3_sd=k3_sd, start=None)
 
 
 def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cameras:

@@ -4,6 +4,7 @@ Within a phone's usual range any lens will do: the model tells it. One that is f
 nobody states or one in another convention, bends the relative poses of pairs.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -41,8 +42,9 @@ def start_lenses(report: Report, database: Path, lenses: SceneLenses, pairs: Pai
     starts = []
     with pycolmap.Database.open(database) as opened:
         for prior, each in zip(lenses.priors, of_lens, strict=True):
-            tried = [prior.coefficients, *(np.r_[k1_k2, np.zeros(6)] for k1_k2 in _TRIED)]
-            costs = np.array([[_cost(opened, a, b, lens, seed) for a, b in each.tolist()] for lens in tried])
+            others = (np.r_[k1_k2, np.zeros(6)] for k1_k2 in _TRIED)
+            tried = [prior.coefficients, *(lens for lens in others if not np.array_equal(lens, prior.coefficients))]
+            costs = np.array([_costs(opened, a, b, tried, seed) for a, b in each.tolist()]).reshape(-1, len(tried)).T
             gain = (costs[0] - costs)[:, np.isfinite(costs).all(axis=0)]
             best = 0
             if gain.shape[1] >= _MIN_PAIRS:
@@ -53,29 +55,42 @@ def start_lenses(report: Report, database: Path, lenses: SceneLenses, pairs: Pai
     return starts
 
 
-def _cost(opened: pycolmap.Database, a: int, b: int, lens: Array, seed: int) -> float:
-    """The mean of log(1 + squared error) of a pair's matches, with a lens and the relative pose that goes best with it;
-    NaN of too few matches, or without a pose."""
+def _costs(opened: pycolmap.Database, a: int, b: int, lenses: Sequence[Array], seed: int) -> list[float]:
+    """The mean of log(1 + squared error) of a pair's matches, with each lens and the relative pose that goes best with
+    it; NaN of too few matches, or without a pose."""
     matches = opened.read_matches(image_id(a), image_id(b))
-    cameras, points, rays = [], [], []
-    for row, feature in zip((a, b), matches.T.astype(np.int64), strict=True):
-        camera = opened.read_camera(image_id(row))
-        params = np.array([*camera.params[:4], *lens])
-        model = pycolmap.CameraModelId.FULL_OPENCV
-        cameras.append(pycolmap.Camera(model=model, width=camera.width, height=camera.height, params=params))
-        points.append(opened.read_keypoints(image_id(row))[:, :2].astype(float))
-        ideal = undistort((points[-1][feature] - params[2:4]) / params[:2], lens)
-        rays.append(np.column_stack([ideal, np.ones(len(ideal))]))
-    sd_px = _ERROR_SD * max(cameras[0].width, cameras[0].height)
+    if len(matches) < _MIN_MATCHES:
+        return [float("nan")] * len(lenses)
+    stored_a, stored_b = (opened.read_camera(image_id(row)) for row in (a, b))
+    points_a, points_b = (opened.read_keypoints(image_id(row))[:, :2].astype(float) for row in (a, b))
+    sd_px = _ERROR_SD * max(stored_a.width, stored_a.height)
     options = pycolmap.TwoViewGeometryOptions()
     options.ransac.random_seed, options.ransac.max_error = seed, _MAX_ERRORS * sd_px
     options.compute_relative_pose = True
-    (camera_a, camera_b), (points_a, points_b) = cameras, points
-    geometry = pycolmap.estimate_calibrated_two_view_geometry(camera_a, points_a, camera_b, points_b, matches, options)
-    if len(matches) < _MIN_MATCHES or geometry.cam2_from_cam1 is None:
-        return float("nan")
-    b_T_a = geometry.cam2_from_cam1.matrix()
-    a_T_b = inverse(make_pose(b_T_a[:, :3], b_T_a[:, 3]))[None]
-    focal = [np.array(camera.params[:2]) for camera in cameras]
-    error = np.nan_to_num(sampson_px(a_T_b, rays[0], rays[1], *focal), nan=np.inf) / sd_px
-    return float(np.log1p(np.minimum(error, _FAR) ** 2).mean())
+    costs = []
+    for lens in lenses:
+        camera_a, camera_b = _with_lens(stored_a, lens), _with_lens(stored_b, lens)
+        geometry = pycolmap.estimate_calibrated_two_view_geometry(
+            camera_a, points_a, camera_b, points_b, matches, options
+        )
+        if geometry.cam2_from_cam1 is None:
+            costs.append(float("nan"))
+            continue
+        b_T_a = geometry.cam2_from_cam1.matrix()
+        a_T_b = inverse(make_pose(b_T_a[:, :3], b_T_a[:, 3]))[None]
+        ray_a, ray_b = _rays(camera_a, points_a[matches[:, 0]], lens), _rays(camera_b, points_b[matches[:, 1]], lens)
+        error_px = sampson_px(a_T_b, ray_a, ray_b, np.array(camera_a.params[:2]), np.array(camera_b.params[:2]))
+        error = np.nan_to_num(error_px, nan=np.inf) / sd_px
+        costs.append(float(np.log1p(np.minimum(error, _FAR) ** 2).mean()))
+    return costs
+
+
+def _with_lens(camera: pycolmap.Camera, lens: Array) -> pycolmap.Camera:
+    params = np.array([*camera.params[:4], *lens])
+    model = pycolmap.CameraModelId.FULL_OPENCV
+    return pycolmap.Camera(model=model, width=camera.width, height=camera.height, params=params)
+
+
+def _rays(camera: pycolmap.Camera, px: Array, lens: Array) -> Array:
+    ideal = undistort((px - camera.params[2:4]) / camera.params[:2], lens)
+    return np.column_stack([ideal, np.ones(len(ideal))])

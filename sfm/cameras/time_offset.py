@@ -9,9 +9,9 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from groundwalk.geometry.poses import Array
+from groundwalk.geometry.poses import Array, relative
 from groundwalk.geometry.robust import CAUCHY_WIDTH, cauchy_weights
-from groundwalk.sfm.database import Ints, pose_of
+from groundwalk.sfm.database import image_id, pose_of
 
 _STEPS = 10
 _MIN_PAIRS, _BLOCKS = 10, 15
@@ -35,22 +35,18 @@ def offset_of_frames(
     rows = np.array(sorted(i - 1 for i in model.reg_image_ids()), np.int64)
     rows = rows[np.isfinite(vio_T_cam[rows, 0, 0]) & np.abs(angular[rows]).any(axis=1)]
     rows = rows[np.lexsort([t_s[rows], session_N[rows].astype(str)])]
-    a, b = rows[:-1], rows[1:]
-    a, b = a[session_N[a] == session_N[b]], b[session_N[a] == session_N[b]]
+    is_pair = session_N[rows[:-1]] == session_N[rows[1:]]
+    a, b = rows[:-1][is_pair], rows[1:][is_pair]
     if len(a) < _MIN_PAIRS:
         return 0.0
-    sfm_R_cam = {row: pose_of(model.image(row + 1))[:3, :3] for row in rows.tolist()}
-    turns = _relative(sfm_R_cam, a, b), np.swapaxes(vio_T_cam[a, :3, :3], 1, 2) @ vio_T_cam[b, :3, :3]
-    all_pairs = (*turns, angular[a], angular[b])
+    sfm_T_cam = np.stack([pose_of(model.image(image_id(row))) for row in rows.tolist()])
+    by_images = relative(sfm_T_cam[:-1], sfm_T_cam[1:])[is_pair, :3, :3]
+    all_pairs = by_images, relative(vio_T_cam[a], vio_T_cam[b])[:, :3, :3], angular[a], angular[b]
     offset, prior_variance = _offset_of(*all_pairs)
     left_out = np.array_split(np.arange(len(a)), min(_BLOCKS, len(a)))
     without = np.array([_offset_of(*(np.delete(part, block, axis=0) for part in all_pairs))[0] for block in left_out])
     sd = float(np.sqrt((len(without) - 1) * without.var() + prior_variance))
     return offset if abs(offset) > _MIN_SIGMAS * sd else 0.0
-
-
-def _relative(sfm_R_cam: dict[int, Array], a: Ints, b: Ints) -> Array:
-    return np.stack([sfm_R_cam[i].T @ sfm_R_cam[j] for i, j in zip(a.tolist(), b.tolist(), strict=True)])
 
 
 def _offset_of(by_images: Array, by_vio: Array, angular_a: Array, angular_b: Array) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from scipy.special import ndtr, stdtrit
 
 from groundwalk.geometry.lens import distort_with_slope, max_shift, undistort
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.cameras.adjustment import LENS_UNKNOWNS, Adjusted
+from groundwalk.sfm.cameras.adjustment import LENS_UNKNOWNS, RADIAL, READOUT, Adjusted
 from groundwalk.sfm.cameras.lenses import FAR_SD, K3_SD, READOUT_SD_S, LensPrior
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, Held
 from groundwalk.sfm.mapping.held_out import Matches
@@ -23,7 +23,6 @@ from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import CameraOrigin
 
 _WEAK_COVARIANCE = np.diag([*FAR_SD, READOUT_SD_S]) ** 2
-_RADIAL = [0, 1, 4]  # k1, k2, k3 of OpenCV's coefficients
 # A stated distortion is wrong where the estimate is so many sigmas and pixels away from it, doesn't stretch or shrink
 # the image at its corners by more than this fraction, and errors of held-out matches become smaller by another one and
 # so many standard errors; a stated readout time where it is so many sigmas and seconds away.
@@ -61,7 +60,16 @@ def check_stated(
     stated = [k for k in np.unique(log.lenses.lens[rows]).tolist() if _is_stated(log.lenses.priors[k])]
     if not stated or settings.refine_cameras == "never":
         return log, []
-    weak = log.with_priors({k: _weakened(log.lenses.priors[k]) for k in stated})
+    weak = log.with_priors(
+        {
+            k: _weakened(
+                prior := log.lenses.priors[k],
+                distortion=prior.origin == CameraOrigin.STATED,
+                readout=prior.stated_readout_s is not None,
+            )
+            for k in stated
+        }
+    )
     errors = []
     for tried in (log, weak):
         copy = pycolmap.Reconstruction(model)
@@ -83,7 +91,13 @@ def check_stated(
         wrong = denied and _is_better(*of_lens)
         check = StatedCheck(lens, wrong, denied and not wrong, readout_denied, *medians)
         checks.append(check)
-        decided[lens] = _decided(prior, check, is_held=settings.lens == "stated")
+        is_free = wrong and settings.lens != "stated"
+        origin = CameraOrigin.ESTIMATED if is_free else prior.origin
+        decided[lens] = replace(
+            _weakened(prior, distortion=is_free, readout=readout_denied),
+            origin=origin,
+            is_undecided=check.distortion_is_undecided,
+        )
     return log.with_priors(decided), checks
 
 
@@ -91,26 +105,14 @@ def _is_stated(prior: LensPrior) -> bool:
     return prior.origin == CameraOrigin.STATED or prior.stated_readout_s is not None
 
 
-def _weakened(prior: LensPrior) -> LensPrior:
+def _weakened(prior: LensPrior, *, distortion: bool, readout: bool) -> LensPrior:
+    """A lens of whose distortion, or readout time, hardly anything is known."""
     covariance, k3_sd = prior.covariance.copy(), prior.k3_sd
-    if prior.origin == CameraOrigin.STATED:
+    if distortion:
         covariance[:2, :2], k3_sd = _WEAK_COVARIANCE[:2, :2], K3_SD
-    if prior.stated_readout_s is not None:
+    if readout:
         covariance[2, 2] = _WEAK_COVARIANCE[2, 2]
     return replace(prior, covariance=covariance, k3_sd=k3_sd)
-
-
-def _decided(prior: LensPrior, check: StatedCheck, *, is_held: bool) -> LensPrior:
-    weak = _weakened(prior)
-    if check.distortion_is_wrong and not is_held:
-        covariance = weak.covariance.copy()
-        covariance[2, 2] = prior.covariance[2, 2]
-        prior = replace(prior, covariance=covariance, k3_sd=weak.k3_sd, origin=CameraOrigin.ESTIMATED)
-    if check.readout_is_wrong:
-        covariance = prior.covariance.copy()
-        covariance[2, 2] = weak.covariance[2, 2]
-        prior = replace(prior, covariance=covariance)
-    return replace(prior, is_undecided=check.distortion_is_undecided)
 
 
 def _is_better(before: pd.Series, after: pd.Series) -> bool:
@@ -132,8 +134,8 @@ def _is_denied(prior: LensPrior, free: Adjusted, shared: Array, number: int, int
     coefficients = free.cameras.coefficients[number]
     extent = intrinsics[2:] / intrinsics[:2]
     shift_px = max_shift(coefficients, prior.coefficients, (extent[0], extent[1])) * intrinsics[0]
-    of_lens = slice(LENS_UNKNOWNS * number, LENS_UNKNOWNS * number + len(_RADIAL))
-    error = (coefficients - prior.coefficients)[_RADIAL]
+    of_lens = slice(LENS_UNKNOWNS * number, LENS_UNKNOWNS * number + len(RADIAL))
+    error = (coefficients - prior.coefficients)[RADIAL]
     sigmas = np.sqrt(error @ np.linalg.solve(shared[of_lens, of_lens], error))
     corner = np.array([[float(np.hypot(*extent)), 0.0]])
     growth = distort_with_slope(undistort(corner, coefficients), coefficients)[1][0, 0, 0]
@@ -145,6 +147,7 @@ def _is_denied(prior: LensPrior, free: Adjusted, shared: Array, number: int, int
 def _readout_is_denied(prior: LensPrior, free: Adjusted, shared: Array, number: int) -> bool:
     if prior.stated_readout_s is None:
         return False
-    sd_s = np.sqrt(shared[LENS_UNKNOWNS * number + 3, LENS_UNKNOWNS * number + 3])
+    readout = LENS_UNKNOWNS * number + READOUT
+    sd_s = np.sqrt(shared[readout, readout])
     limit_s = max(_MIN_WRONG_SIGMAS * sd_s, _MIN_WRONG_READOUT_S)
     return bool(abs(free.cameras.readout_s[number] - prior.stated_readout_s) > limit_s)

@@ -22,6 +22,7 @@ from groundwalk.sfm.cameras.adjustment import (
     Bundle,
     Ints,
     Linearization,
+    is_large,
     linearize,
     local_unknowns,
     loss_variance,
@@ -57,7 +58,7 @@ class Covariances:
 
 
 def covariances(adjusted: Adjusted) -> Covariances | None:
-    """None where there are too few points to tell.
+    """None where there are too few points to tell, or too many frames for the memory.
 
     Nothing is assumed of the noise but that errors of two keypoints have nothing to do with each other: those of one in
     the frames that see it are correlated, as its features slide with the view, and points of one keypoint share them.
@@ -74,6 +75,8 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
     """
     bundle, cameras = adjusted.bundle, adjusted.cameras
     frames, points = len(bundle.sfm_T_cam), len(bundle.xyz)
+    if is_large(frames):
+        return None
     track_length = np.bincount(bundle.point, minlength=points)
     keypoint_P = keypoints_of(bundle)
     keypoints = int(keypoint_P.max(initial=-1)) + 1

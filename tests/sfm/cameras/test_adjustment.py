@@ -232,6 +232,8 @@ def test_a_model_too_large_for_a_factor_comes_out_the_same(monkeypatch: pytest.M
     large, _, _ = _adjusted(0)
     assert _position_error_m(large.bundle, truth) < 1.05 * _position_error_m(factored.bundle, truth)
     assert np.allclose(large.cameras.coefficients, factored.cameras.coefficients, atol=2e-3)
+    monkeypatch.setattr(adjustment, "MAX_FACTORED", 0)
+    assert covariances(large) is None
 
 
 def _system(seed: int) -> tuple[System, Array, Array]:

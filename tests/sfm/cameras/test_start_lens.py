@@ -11,10 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.lens import distort
 from groundwalk.geometry.poses import make_pose
-from groundwalk.sfm.cameras.lenses import PHONE_K1_K2, prior_lenses, started, with_lenses
+from groundwalk.sfm.cameras.lenses import PHONE_K1_K2, LensPrior, prior_lenses, started, with_lenses
+from groundwalk.sfm.cameras.model_adjustment import known_lens
 from groundwalk.sfm.cameras.start_lens import start_lenses
 from groundwalk.sfm.database import create_database, image_id
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.choices import CameraOrigin
 from tests.known import cells
 
 FRAMES, POINTS = 8, 300
@@ -70,3 +72,9 @@ def test_a_stated_lens_that_is_about_right_is_started_from(tmp_path: Path, state
 
 def test_a_stated_lens_that_is_far_off_is_not_started_from(tmp_path: Path) -> None:
     assert np.abs(start_of(tmp_path, (-0.3, 0.4), PHONE) - PHONE).max() < 0.1
+
+
+def test_a_lens_that_a_map_knows_is_started_from() -> None:
+    stated = LensPrior("phone", 2, np.zeros(8), 0.0, np.eye(3), 0.1, CameraOrigin.STATED, np.zeros(2))
+    known = known_lens(started(stated, np.ones(8)), np.full(8, 0.1), 0.01)
+    assert known.start is None and np.all(known.coefficients == 0.1)
