@@ -18,7 +18,9 @@ class SfmSettings(Settings):
 
     max_image_size: int = Field(1120, ge=64, description="longest side of images for features, px; larger ones shrink")
     max_features: int = Field(2048, gt=0, description="features per image")
-    sequence_pairs: int = Field(5, ge=1, description="next frames of its recording that a frame is matched to")
+    sequence_pairs: int = Field(
+        5, ge=1, description="next frames of its recording that a frame is matched to, besides those 8, 16 and 32 later"
+    )
     vio_pairs: int = Field(
         10, ge=0, description="frames of its session, of most view overlap by VIO, that a frame is matched to"
     )

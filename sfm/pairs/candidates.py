@@ -30,21 +30,21 @@ def unique_pairs(pairs: ArrayLike) -> Pairs:
     return np.unique(ordered, axis=0)
 
 
-def sequence_pairs(recording_N: ArrayLike, t_ns_N: ArrayLike, overlap: int) -> Pairs:
-    """Each frame with the next `overlap` frames of its recording, by time."""
+def sequence_pairs(recording_N: ArrayLike, t_ns_N: ArrayLike, steps: Sequence[int]) -> Pairs:
+    """Each frame with those that are so many `steps` later in its recording, by time."""
     recording_N, t_ns_N = np.asarray(recording_N), np.asarray(t_ns_N)
     proposed = [np.empty((0, 2), np.int64)]
     for recording in np.unique(recording_N):
         rows = np.flatnonzero(recording_N == recording)
         rows = rows[np.argsort(t_ns_N[rows], kind="stable")]
-        proposed += [np.stack([rows[:-step], rows[step:]], axis=1) for step in range(1, min(overlap + 1, len(rows)))]
+        proposed += [np.stack([rows[:-step], rows[step:]], axis=1) for step in steps if step < len(rows)]
     return unique_pairs(np.concatenate(proposed))
 
 
 def broken_links(recording_N: ArrayLike, t_ns_N: ArrayLike, linked: Pairs) -> Pairs:
     """Pairs of neighbours in a recording, by time, that aren't among the linked pairs."""
     count = len(np.asarray(recording_N))
-    links = sequence_pairs(recording_N, t_ns_N, 1)
+    links = sequence_pairs(recording_N, t_ns_N, [1])
     return links[~np.isin(_key(links, count), _key(linked, count))]
 
 

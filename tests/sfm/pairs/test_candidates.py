@@ -63,9 +63,9 @@ def test_frames_without_vio_get_no_vio_pairs_and_no_limits() -> None:
 def test_sequence_pairs_are_the_next_frames_by_time_in_each_recording() -> None:
     recording = np.array(["a", "b", "a", "a", "b", "a"])
     t_ns = np.array([30, 5, 10, 20, 1, 40])
-    pairs = sequence_pairs(recording, t_ns, 2)
+    pairs = sequence_pairs(recording, t_ns, [1, 2])
     assert pairs.tolist() == [[0, 2], [0, 3], [0, 5], [1, 4], [2, 3], [3, 5]]
-    assert len(sequence_pairs(["a"], [0], 3)) == 0
+    assert len(sequence_pairs(["a"], [0], [1, 2, 3])) == 0
 
 
 def test_overlap_is_whole_for_equal_views_and_none_back_to_back() -> None:
