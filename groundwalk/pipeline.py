@@ -25,7 +25,7 @@ USER_ERROR = 2  # the exit status of a command that a user can do something abou
 _REPORT = STAGES[-1]
 _SHOWN_AT_ONCE = ("align", "localise", "train")
 """Stages after which the report is written, though more follow: what they found needn't wait for hours of training."""
-_DEMO_S = dict(zip(("simulate", *STAGES), (160, 15, 212, 20, 89, 604, 45, 36), strict=True))
+_DEMO_S = dict(zip(("simulate", *STAGES), (58, 6, 138, 6, 66, 284, 28, 5), strict=True))
 """Seconds of each command of simulated Church in profile demo on two cores, until a run has measured them here."""
 
 
