@@ -7,7 +7,7 @@ import numpy as np
 
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm import messages, scene_input, tables
-from groundwalk.sfm.cameras.adjustment import Adjusted, Ints, is_large
+from groundwalk.sfm.cameras.adjustment import Adjusted, Ints
 from groundwalk.sfm.cameras.lenses import with_lenses
 from groundwalk.sfm.cameras.model_adjustment import cameras_of_frames, load_adjusted
 from groundwalk.sfm.extension import HeldArtefact, refuse_misfit
@@ -179,8 +179,7 @@ def _covariances(
     covariance = np.full((frames, 6, 6), np.nan)
     for one, (bundle, rows) in zip(models, adjusted, strict=True):
         if (estimate := covariances(bundle)) is None:  # its frames are of class C
-            why = f"{len(rows)} frames are too many for the memory" if is_large(len(rows)) else "too few points"
-            r.say(f"model {one.model_id}: no covariances: {why}")
+            r.say(f"model {one.model_id}: no covariances: too few points")
         else:
             covariance[rows] = estimate.poses
             messages.report_coherence(r, one, estimate)

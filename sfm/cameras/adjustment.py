@@ -262,10 +262,11 @@ def regular_system(
         np.add.at(gradient, size + columns[:, k], pull[:, _LOCAL + k])
     point_inverse = np.swapaxes(lower_inverse, 1, 2) @ lower_inverse
     free = np.zeros((size, 0))
-    system = System(blocks, columns, local, of_shared, gradient, point_inverse, point_pull, information, free)
+    position = bundle.sfm_T_cam[:, :3, 3]
+    system = System(blocks, columns, local, of_shared, gradient, point_inverse, point_pull, information, free, position)
     if len(bundle.held_points):
         return system
-    return replace(system, gauge=_stiffness(system.diagonal(), bundle.sfm_T_cam[:, :3, 3]))
+    return replace(system, gauge=_stiffness(system.diagonal(), position))
 
 
 def outer(a_M2k: Array, b_M2l: Array) -> Array:
@@ -291,15 +292,35 @@ def prior_information(cameras: Cameras, priors: CameraPriors) -> csr_array:
     values.append((1 / priors.angular_sd**2).ravel())
     for session in range(sessions):
         members = np.flatnonzero(cameras.session == session)
-        lag = np.abs(cameras.t_s[members][:, None] - cameras.t_s[members])
-        smooth = np.exp(-lag / _FOCUS_LAG_S) + _FOCUS_NOISE * np.eye(len(members))
-        add(_LOCAL * members + _FOCUS, np.linalg.inv(priors.focus_sd[session] ** 2 * smooth))
+        add(_LOCAL * members + _FOCUS, np.linalg.inv(_focus_covariance(cameras.t_s[members], priors.focus_sd[session])))
         add(np.array([size + LENS_UNKNOWNS * lenses + session]), np.array([[1 / priors.log_focal_sd[session] ** 2]]))
     for lens in range(lenses):
         add(size + LENS_UNKNOWNS * lens + np.arange(LENS_UNKNOWNS), np.linalg.inv(priors.lens_covariance[lens]))
     total = size + LENS_UNKNOWNS * lenses + sessions
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     return csr_array(coo_array(entries, shape=(total, total)))
+
+
+def prior_draw(cameras: Cameras, priors: CameraPriors, rng: np.random.Generator) -> Array:
+    """Deviations of all unknowns (10 N + G,) from their priors' means, drawn by those; 0 for poses."""
+    frames = len(cameras.t_s)
+    of_frame = np.zeros((frames, _LOCAL))
+    of_frame[:, _ANGULAR] = priors.angular_sd * rng.standard_normal((frames, 3))
+    for session in range(len(cameras.log_focal)):
+        members = np.flatnonzero(cameras.session == session)
+        covariance = _focus_covariance(cameras.t_s[members], priors.focus_sd[session])
+        of_frame[members, _FOCUS] = np.linalg.cholesky(covariance) @ rng.standard_normal(len(members))
+    of_lens = np.linalg.cholesky(priors.lens_covariance) @ rng.standard_normal(
+        (len(cameras.readout_s), LENS_UNKNOWNS, 1)
+    )
+    log_focal = priors.log_focal_sd * rng.standard_normal(len(priors.log_focal_sd))
+    return np.concatenate([of_frame.ravel(), of_lens.ravel(), log_focal])
+
+
+def _focus_covariance(t_s: Array, sd: float) -> Array:
+    """(n, n) of the focus of a session's frames at times (n,) s."""
+    smooth = np.exp(-np.abs(t_s[:, None] - t_s) / _FOCUS_LAG_S) + _FOCUS_NOISE * np.eye(len(t_s))
+    return np.asarray(sd**2 * smooth)
 
 
 def camera_unknowns(cameras: Cameras) -> Array:

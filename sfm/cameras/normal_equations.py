@@ -9,9 +9,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, lapack
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, lapack, pinvh
 from scipy.sparse import bsr_array, csr_array
 from scipy.sparse.linalg import LinearOperator, cg
+from scipy.spatial import cKDTree
 
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.rows import summed
@@ -20,7 +21,8 @@ from groundwalk.geometry.rows import summed
 _TOLERANCE, _MAX_ITERATIONS = 1e-4, 40
 MAX_FACTORED = 25_000
 """Unknowns of a system whose factor, or inverse, is formed: 5 GB."""
-_MAX_UNFACTORED_ITERATIONS = 500
+_MAX_UNFACTORED_STEPS = 500
+_CLUSTER = 64  # frames, at most, of which one factor is formed
 _CHUNK = 64  # frames at once, for memory
 _ROWS = 1024  # of a matrix, likewise
 
@@ -45,6 +47,7 @@ class System:
     point_gradient: Array
     information: csr_array
     gauge: Array
+    position: Array
 
     @property
     def size(self) -> int:
@@ -55,33 +58,40 @@ class System:
     def _of_points_T(self) -> bsr_array:
         return self.of_points.T
 
+    @cached_property
+    def _of_points_by_number(self) -> tuple[csr_array, csr_array]:
+        """`of_points` and its transpose, whose products with many columns are twice as fast than those of blocks."""
+        return csr_array(self.of_points), csr_array(self.of_points.T)
+
     def times(self, x: Array) -> Array:
-        """The product of the matrix, which needn't be formed, with a vector (l N + G,)."""
-        frames_x, shared = x[: self.size], x[self.size :]
+        """The product of the matrix, which needn't be formed, with a vector (l N + G,) or with columns (l N + G, k)."""
+        columns = x.reshape(len(x), -1)
+        of_points, of_points_T = self.of_points, self._of_points_T
+        if columns.shape[1] > 1:
+            of_points, of_points_T = self._of_points_by_number
+        frames_x, shared = columns[: self.size], columns[self.size :]
         frames = len(self.blocks)
         local = self.size // frames
-        of_frame = np.concatenate([frames_x.reshape(frames, local), shared[self.columns]], axis=1)
-        pulled = np.einsum("nij,nj->ni", self.blocks, of_frame)
-        by_points = self._of_points_T @ frames_x + shared @ self.of_points_shared
-        product = np.zeros(len(x))
-        product[: self.size] = pulled[:, :local].ravel() - self.of_points @ by_points
+        pulled = self.blocks @ np.concatenate([frames_x.reshape(frames, local, -1), shared[self.columns]], axis=1)
+        by_points = of_points_T @ frames_x + self.of_points_shared.T @ shared
+        product = self.information @ columns
+        product[: self.size] += pulled[:, :local].reshape(self.size, -1) - of_points @ by_points
+        product[: self.size] += self.gauge @ (self.gauge.T @ frames_x)
         np.add.at(product[self.size :], self.columns, pulled[:, local:])
         product[self.size :] -= self.of_points_shared @ by_points
-        product[: self.size] += self.gauge @ (frames_x @ self.gauge)
-        return product + self.information @ x
+        return np.asarray(product.reshape(x.shape))
 
-    def frame_blocks(self) -> Array:
-        """The matrix's blocks of each frame's own unknowns (N, l, l), without the gauge."""
-        frames, points = len(self.blocks), self.of_points
-        local = self.size // frames
-        row = np.repeat(np.arange(frames), np.diff(points.indptr))
-        eliminated = summed(points.data @ np.swapaxes(points.data, 1, 2), row, frames)
-        blocks = self.blocks[:, :local, :local] - eliminated
-        entries = self.information.tocoo()
-        own = (entries.row // local == entries.col // local) & (entries.row < self.size)
-        at_row, at_column = entries.row[own], entries.col[own]
-        np.add.at(blocks, (at_row // local, at_row % local, at_column % local), entries.data[own])
-        return np.asarray(blocks, float)
+    def part(self, frames: NDArray[np.int64]) -> Array:
+        """The matrix (l n, l n) of n frames' own unknowns."""
+        local = self.size // len(self.blocks)
+        index = (local * frames[:, None] + np.arange(local)).ravel()
+        of_points = _rows_of(self.of_points, frames)
+        matrix = self.information[index][:, index].toarray() + self.gauge[index] @ self.gauge[index].T
+        matrix -= (of_points @ of_points.T).toarray()
+        for k, frame in enumerate(frames.tolist()):
+            own = slice(local * k, local * (k + 1))
+            matrix[own, own] += self.blocks[frame, :local, :local]
+        return matrix
 
     def diagonal(self) -> Array:
         """The matrix's diagonal (l N + G,)."""
@@ -105,9 +115,9 @@ class System:
         for first in range(0, frames, _CHUNK):
             last = min(first + _CHUNK, frames)
             chunk, left = slice(local * first, local * last), slice(local * last)
-            before = _rows_of(self.of_points, 0, last).T
+            before = _rows_of(self.of_points, np.arange(last)).T
             matrix[chunk, left] = self.gauge[chunk] @ self.gauge[left].T
-            matrix[chunk, left] -= (_rows_of(self.of_points, first, last) @ before).toarray()
+            matrix[chunk, left] -= (_rows_of(self.of_points, np.arange(first, last)) @ before).toarray()
         matrix[size:, :size] = -(self.of_points @ self.of_points_shared.T).T
         matrix[size:, size:] = -self.of_points_shared @ self.of_points_shared.T
         index = np.arange(size).reshape(frames, local)
@@ -127,8 +137,8 @@ class Solver:
 
     They differ little, so the factor of one preconditions the next ones' conjugate gradients: a factor takes some
     (l N)^3 operations, a product as many as there are observations. Where conjugate gradients take too many products,
-    the system at hand is factorised. One of more than MAX_FACTORED unknowns never is: its frames' blocks precondition
-    it (Agarwal et al., "Bundle adjustment in the large", 2010), and a step may stay unfinished.
+    the system at hand is factorised. One of more than MAX_FACTORED unknowns never is (`Unfactored`), and a step may
+    stay unfinished.
     """
 
     def __init__(self) -> None:
@@ -140,18 +150,7 @@ class Solver:
         shape = (len(right), len(right))
         scaled = LinearOperator(shape, lambda x: unit * system.times(unit * x) + damping * x, dtype=float)
         if len(right) > MAX_FACTORED:
-            local, frames = system.size // len(system.blocks), len(system.blocks)
-            units = unit[: system.size].reshape(frames, local)
-            blocks = units[:, :, None] * system.frame_blocks() * units[:, None, :] + damping * np.eye(local)
-            inverses = np.linalg.inv(blocks)
-
-            def by_blocks(x: Array) -> Array:
-                of_frames = np.einsum("nij,nj->ni", inverses, x[: system.size].reshape(frames, local))
-                return np.concatenate([of_frames.ravel(), x[system.size :]])
-
-            precondition = LinearOperator(shape, by_blocks, dtype=float)
-            limits = {"rtol": _TOLERANCE, "maxiter": _MAX_UNFACTORED_ITERATIONS}
-            return np.asarray(unit * cg(scaled, unit * right, M=precondition, **limits)[0])
+            return Unfactored(system, diagonal, damping).solve(right)[0]
         if self._factor is not None:
             factor = self._factor
             precondition = LinearOperator(shape, lambda x: cho_solve(factor, x / unit) / unit, dtype=float)
@@ -163,6 +162,77 @@ class Solver:
         matrix[np.diag_indices_from(matrix)] += damping * diagonal
         self._factor = cho_factor(matrix, lower=True, overwrite_a=True)
         return np.asarray(cho_solve(self._factor, right))
+
+
+class Unfactored:
+    """Solves (matrix + damping * its diagonal) x = right without forming the matrix.
+
+    Conjugate gradients, preconditioned on two levels: clusters of neighbouring frames by their factors, and how the
+    clusters as a whole turn, shift and grow, with the unknowns that all share, by a small matrix (Kushal and Agarwal,
+    "Visibility based preconditioning for bundle adjustment", 2012; Nicolaides, "Deflation of conjugate gradients",
+    1987). The first alone takes many steps to bend a long walk.
+    """
+
+    def __init__(self, system: System, diagonal: Array, damping: float) -> None:
+        self._system, self._damped, self._unit = system, damping * diagonal, 1 / np.sqrt(diagonal)
+        frames, size, total = len(system.blocks), system.size, len(diagonal)
+        local = size // frames
+        clusters = _clusters(system.position)
+        self._index = [(local * members[:, None] + np.arange(local)).ravel() for members in clusters]
+        self._factors = [
+            cho_factor(system.part(members) + np.diag(self._damped[index]), lower=True, overwrite_a=True)
+            for members, index in zip(clusters, self._index, strict=True)
+        ]
+        self._motions = []
+        for members in clusters:
+            motions = np.zeros((len(members), local, 7))
+            motions[:, :6] = similarities(system.position[members])
+            self._motions.append(motions.reshape(-1, 7))
+        coarse = np.empty((7 * len(clusters) + total - size,) * 2)
+        for k, (index, motions) in enumerate(zip(self._index, self._motions, strict=True)):
+            moved = np.zeros((total, 7))
+            moved[index] = motions
+            coarse[:, 7 * k : 7 * k + 7] = self._gathered(self._times(moved))
+        moved = np.eye(total, total - size, -size)
+        coarse[:, 7 * len(clusters) :] = self._gathered(self._times(moved))
+        self._coarse = pinvh(coarse)
+
+    def solve(self, right: Array, tolerance: float = _TOLERANCE) -> tuple[Array, bool]:
+        """x (l N + G,) or (l N + G, k), and whether it came to the tolerance within as many steps as are taken at most:
+        the residual, in units of each unknown's own information, over that of `right`."""
+        left, x = right.reshape(len(right), -1).copy(), np.zeros((len(right), right.size // len(right)))
+        small = tolerance * self._norm(left)
+        near = self._nearly(left)
+        way, gained = near.copy(), np.sum(left * near, axis=0)
+        for _ in range(_MAX_UNFACTORED_STEPS):
+            if (self._norm(left) <= small).all():
+                return x.reshape(right.shape), True
+            product = self._times(way)
+            length = gained / np.maximum(np.sum(way * product, axis=0), np.finfo(float).tiny)
+            x += length * way
+            left -= length * product
+            near = self._nearly(left)
+            before, gained = gained, np.sum(left * near, axis=0)
+            way = near + gained / np.maximum(before, np.finfo(float).tiny) * way
+        return x.reshape(right.shape), False
+
+    def _norm(self, left: Array) -> Array:
+        return np.asarray(np.linalg.norm(self._unit[:, None] * left, axis=0))
+
+    def _times(self, x: Array) -> Array:
+        return self._system.times(x) + self._damped[:, None] * x
+
+    def _gathered(self, x: Array) -> Array:
+        """What is left of columns (l N + G, k) on the second level."""
+        by_cluster = [motions.T @ x[index] for index, motions in zip(self._index, self._motions, strict=True)]
+        return np.concatenate([*by_cluster, x[self._system.size :]])
+
+    def _nearly(self, right: Array) -> Array:
+        x, coarse = np.zeros(right.shape), self._coarse @ self._gathered(right)
+        for k, (index, factor, motions) in enumerate(zip(self._index, self._factors, self._motions, strict=True)):
+            x[index] += cho_solve(factor, right[index]) + motions @ coarse[7 * k : 7 * k + 7]
+        x[self._system.size :] = coarse[7 * len(self._index) :]
+        return x
 
 
 def inverse_of(matrix: Array) -> Array:
@@ -180,12 +250,30 @@ def inverse_of(matrix: Array) -> Array:
     return np.asarray(inverse)
 
 
-def _rows_of(blocks: bsr_array, first: int, last: int) -> bsr_array:
-    """The rows of blocks from `first` to before `last`."""
-    within = slice(blocks.indptr[first], blocks.indptr[last])
-    height = blocks.blocksize[0]
-    parts = (blocks.data[within], blocks.indices[within], blocks.indptr[first : last + 1] - within.start)
-    return bsr_array(parts, shape=((last - first) * height, blocks.shape[1]))
+def _rows_of(blocks: bsr_array, rows: NDArray[np.int64]) -> bsr_array:
+    """Some rows of blocks."""
+    counts = np.diff(blocks.indptr)[rows]
+    bounds = np.concatenate([[0], np.cumsum(counts)])
+    within = np.repeat(blocks.indptr[rows] - bounds[:-1], counts) + np.arange(bounds[-1])
+    shape = (len(rows) * blocks.blocksize[0], blocks.shape[1])
+    return bsr_array((blocks.data[within], blocks.indices[within], bounds), shape=shape)
+
+
+def _clusters(position_N3: Array) -> list[NDArray[np.int64]]:
+    """Frames in clusters of neighbours, halved along their longest extent until few are left, each with as many around
+    it that are others', too."""
+    whole, clusters = [np.arange(len(position_N3))], []
+    while whole:
+        members = whole.pop()
+        position = position_N3[members]
+        if len(members) > _CLUSTER:
+            order = np.argsort(position[:, np.argmax(np.ptp(position, axis=0))], kind="stable")
+            whole += np.array_split(members[order], 2)
+            continue
+        distance = cKDTree(position).query(position_N3)[0]
+        distance[members] = -1.0
+        clusters.append(np.sort(np.argsort(distance, kind="stable")[: 2 * len(members)]))
+    return clusters
 
 
 def block_rows(

@@ -26,11 +26,13 @@ from groundwalk.sfm.cameras.adjustment import (
     linearize,
     local_unknowns,
     loss_variance,
+    prior_draw,
     prior_information,
     regular_system,
     shared_columns,
 )
-from groundwalk.sfm.cameras.normal_equations import block_rows, inverse_of, similarities
+from groundwalk.sfm.cameras.normal_equations import System, Unfactored, block_rows, inverse_of, similarities
+from groundwalk.store.progress import track
 
 # Features of one keypoint have its place to the bit; a hundredth allows for rounding.
 _SAME_PLACE_PX = 0.01
@@ -42,6 +44,8 @@ SHARED_ERRORS = 1.7
 # Parts of the image in which errors of the cameras' model are alike.
 _BANDS, _COLUMNS = 6, 8
 _CHUNK = 64  # frames at once, for memory
+# Samples of large models' errors, by which their standard deviations are known to 9 %, and to what each is solved.
+_SAMPLES, _AT_ONCE, _TOLERANCE = 60, 20, 1e-3
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class Covariances:
 
 
 def covariances(adjusted: Adjusted) -> Covariances | None:
-    """None where there are too few points to tell, or too many frames for the memory.
+    """None where there are too few points to tell.
 
     Nothing is assumed of the noise but that errors of two keypoints have nothing to do with each other: those of one in
     the frames that see it are correlated, as its features slide with the view, and points of one keypoint share them.
@@ -72,11 +76,10 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
     What the frames share is also as uncertain as principal points make it (`_of_centres`).
 
     Where frames and points are held, what comes out is how certain the others are if these are right.
+    Of large models poses' covariances are those of a sample of errors (`_sampled`).
     """
     bundle, cameras = adjusted.bundle, adjusted.cameras
     frames, points = len(bundle.sfm_T_cam), len(bundle.xyz)
-    if is_large(frames):
-        return None
     track_length = np.bincount(bundle.point, minlength=points)
     keypoint_P = keypoints_of(bundle)
     keypoints = int(keypoint_P.max(initial=-1)) + 1
@@ -91,29 +94,53 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
     information = prior_information(cameras, adjusted.priors)
     # The mean curvature of Cauchy's loss at a residual is its weight squared.
     system = regular_system(bundle, cameras, linear, weight**2, variance * information)
-    try:
-        inverse = inverse_of(system.matrix())
-    except LinAlgError:
-        return None
     fitted = np.sqrt(2 * track_length / np.where(is_held, 2 * track_length, np.maximum(2 * track_length - 3, 1)))
     fitted = fitted[bundle.point]
     force = _forces(linear, weight, fitted[:, None] * linear.residual, bundle.point, system.point_inverse)
     by_keypoint = _rows_of_unknowns(force, adjusted, keypoint_P[bundle.point], keypoints)
-    middle = _dense(by_keypoint, variance**2 * information)
     by_rows, by_region = coherence(adjusted, linear.residual, keypoint_P)
-    of_shared = inverse[10 * frames :]
-    # The part of the keypoints grows with what they have in common, that of the priors doesn't.
-    shared_by_keypoints = by_keypoint.T @ of_shared.T
-    shared = of_shared @ middle @ of_shared.T
-    shared += (max(by_rows, by_region) - 1) * shared_by_keypoints.T @ shared_by_keypoints
-    middle *= SHARED_ERRORS * by_rows
     gauge, h = _gauge_of(bundle.sfm_T_cam[:, :3, 3])
     if len(bundle.held_points):
         gauge, h = np.zeros_like(gauge), np.zeros_like(h)
-    poses = _gauge_free_sandwich(inverse, middle, gauge, h)
-    by_centres = _of_centres(adjusted, linear, weight, system.point_inverse).T @ of_shared.T
-    shared += by_centres.T @ by_centres
-    return Covariances(poses, shared, by_rows, by_region)
+    try:
+        if is_large(frames):
+            of_shared, poses = _sampled(adjusted, system, by_keypoint, variance * information, gauge, h)
+        else:
+            inverse = inverse_of(system.matrix())
+            of_shared = inverse[10 * frames :]
+            poses = _gauge_free_sandwich(inverse, _dense(by_keypoint, variance**2 * information), gauge, h)
+    except LinAlgError:
+        return None
+    # The part of the keypoints grows with what they have in common, that of the priors doesn't.
+    by_keypoints, by_centres = (
+        of_shared @ by_keypoint,
+        of_shared @ _of_centres(adjusted, linear, weight, system.point_inverse),
+    )
+    shared = max(by_rows, by_region) * by_keypoints @ by_keypoints.T + by_centres @ by_centres.T
+    shared += variance**2 * of_shared @ (information @ of_shared.T)
+    return Covariances(SHARED_ERRORS * by_rows * poses, shared, by_rows, by_region)
+
+
+def _sampled(
+    adjusted: Adjusted, system: System, by_keypoint: csr_array, information: csr_array, gauge: Array, h: Array
+) -> tuple[Array, Array]:
+    """Rows of the inverse (G, 10 N + G) of the unknowns that frames share, and the poses' covariances (N, 6, 6) as
+    those of a sample of errors: keypoints and priors pull with random signs and sizes, and the poses give way."""
+    rng, size = np.random.default_rng(0), system.size
+    solver = Unfactored(system, system.diagonal(), 0.0)
+    index, parts = local_unknowns(len(gauge) // 6)[:, :6].ravel(), []
+    of_shared, is_done = solver.solve(np.eye(len(system.gradient))[:, size:], _TOLERANCE)
+    for _ in track(range(_SAMPLES // _AT_ONCE), "sampling uncertainties"):
+        drawn = np.array([prior_draw(adjusted.cameras, adjusted.priors, rng) for _ in range(_AT_ONCE)])
+        pulls = by_keypoint @ rng.standard_normal((by_keypoint.shape[1], _AT_ONCE)) + information @ drawn.T
+        moved, is_part_done = solver.solve(pulls, _TOLERANCE)
+        is_done &= is_part_done
+        parts.append(moved[index])
+    if not is_done:
+        raise LinAlgError("conjugate gradients take too many steps")
+    moved = np.hstack(parts)
+    moved = (moved - gauge @ (h @ moved)).reshape(-1, 6, _SAMPLES)
+    return of_shared.T, moved @ np.swapaxes(moved, 1, 2) / _SAMPLES
 
 
 def _dense(by_keypoint: csr_array, information: csr_array) -> Array:
