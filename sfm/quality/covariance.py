@@ -126,10 +126,10 @@ def _sampled(
 ) -> tuple[Array, Array]:
     """Rows of the inverse (G, 10 N + G) of the unknowns that frames share, and the poses' covariances (N, 6, 6) as
     those of a sample of errors: keypoints and priors pull with random signs and sizes, and the poses give way."""
-    rng, size = np.random.default_rng(0), system.size
+    rng, size, total = np.random.default_rng(0), system.size, len(system.gradient)
     solver = Unfactored(system, system.diagonal(), 0.0)
     index, parts = local_unknowns(len(gauge) // 6)[:, :6].ravel(), []
-    of_shared, is_done = solver.solve(np.eye(len(system.gradient))[:, size:], _TOLERANCE)
+    of_shared, is_done = solver.solve(np.eye(total, total - size, -size), _TOLERANCE)
     for _ in track(range(_SAMPLES // _AT_ONCE), "sampling uncertainties"):
         drawn = np.array([prior_draw(adjusted.cameras, adjusted.priors, rng) for _ in range(_AT_ONCE)])
         pulls = by_keypoint @ rng.standard_normal((by_keypoint.shape[1], _AT_ONCE)) + information @ drawn.T
