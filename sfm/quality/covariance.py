@@ -112,10 +112,8 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
     except LinAlgError:
         return None
     # The part of the keypoints grows with what they have in common, that of the priors doesn't.
-    by_keypoints, by_centres = (
-        of_shared @ by_keypoint,
-        of_shared @ _of_centres(adjusted, linear, weight, system.point_inverse),
-    )
+    by_keypoints = of_shared @ by_keypoint
+    by_centres = of_shared @ _of_centres(adjusted, linear, weight, system.point_inverse)
     shared = max(by_rows, by_region) * by_keypoints @ by_keypoints.T + by_centres @ by_centres.T
     shared += variance**2 * of_shared @ (information @ of_shared.T)
     return Covariances(SHARED_ERRORS * by_rows * poses, shared, by_rows, by_region)
