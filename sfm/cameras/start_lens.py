@@ -27,6 +27,7 @@ _TRIED = np.array([(0.0, 0.0), PHONE_K1_K2, (0.16, -0.4), (-0.15, 0.03), (-0.28,
 # standard errors; errors are in units of this fraction of the image's longer side, those of inliers below so
 # many of them.
 _MIN_GAIN, _MIN_GAIN_SIGMAS = 0.05, 3.0
+_MAX_GAIN = 1.0  # that a pair counts as: one without a right pose under either lens is off by any amount
 _ERROR_SD, _MAX_ERRORS = 0.0008, 3.0
 _MAX_PAIRS, _MIN_MATCHES, _MIN_PAIRS = 60, 40, 5
 _FAR = 1e3  # of points that the lens can't see
@@ -45,7 +46,7 @@ def start_lenses(report: Report, database: Path, lenses: SceneLenses, pairs: Pai
             others = (np.r_[k1_k2, np.zeros(6)] for k1_k2 in _TRIED)
             tried = [prior.coefficients, *(lens for lens in others if not np.array_equal(lens, prior.coefficients))]
             costs = np.array([_costs(opened, a, b, tried, seed) for a, b in each.tolist()]).reshape(-1, len(tried)).T
-            gain = (costs[0] - costs)[:, np.isfinite(costs).all(axis=0)]
+            gain = np.clip(costs[0] - costs, -_MAX_GAIN, _MAX_GAIN)[:, np.isfinite(costs).all(axis=0)]
             best = 0
             if gain.shape[1] >= _MIN_PAIRS:
                 best = int(gain.mean(axis=1).argmax())
