@@ -4,6 +4,8 @@ HLG is shown on a display of 1,000 cd/m2, where light ends, and SDR's white is H
 (BT.2408).
 """
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -18,22 +20,28 @@ _BT2020_TO_BT709 = np.array([[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.00
 _HLG_GAMMA = 1.2
 # Steps of tables over the root of light, in which dark colours are as fine as they look.
 _STEPS = 1 << 16
+_ROWS = 16
 
 
 def sdr_pixels(rgb: NDArray[np.uint16], transfer: int) -> NDArray[np.uint8]:
     """An image (H, W, 3) in sRGB of one in BT.2100's colours, 10 bits each. Up to 0.43 of the reference white colours
     stay as they are; brighter ones keep their hue."""
-    light = np.take(_LIGHT_OF[transfer], rgb, mode="clip")
-    if transfer == HLG:
-        # What is displayed grows faster than what was seen, by its luminance.
-        shown = cv2.pow(cv2.transform(light, _LUMINANCE), _HLG_GAMMA - 1)
-        light = cv2.multiply(light, cv2.merge([shown] * 3))
-    light = np.maximum(cv2.transform(light, _BT2020_TO_BT709), 0)
-    gain = np.take(_GAIN, _step(cv2.max(cv2.max(light[..., 0], light[..., 1]), light[..., 2])))
-    return np.take(_SRGB, _step(cv2.multiply(light, cv2.merge([gain] * 3))))
+    sdr = np.empty(rgb.shape, np.uint8)
+    # Few rows at once stay in the processor's cache.
+    for top in range(0, len(rgb), _ROWS):
+        light: Any = np.take(_LIGHT_OF[transfer], rgb[top : top + _ROWS], mode="clip")
+        if transfer == HLG:
+            # What is displayed grows faster than what was seen, by its luminance.
+            shown = cv2.pow(cv2.transform(light, _LUMINANCE), _HLG_GAMMA - 1)
+            light = cv2.multiply(light, cv2.merge([shown] * 3))
+        light = np.maximum(cv2.transform(light, _BT2020_TO_BT709), 0)
+        red, green, blue = cv2.split(light)
+        gain = np.take(_GAIN, _step(cv2.max(cv2.max(red, green), blue)))
+        sdr[top : top + _ROWS] = np.take(_SRGB, _step(cv2.multiply(light, cv2.merge([gain] * 3))))
+    return sdr
 
 
-def _step(light: NDArray[np.float32]) -> NDArray[np.uint16]:
+def _step(light: Any) -> NDArray[np.uint16]:
     """Where light, 1 at the peak, is in the tables."""
     return (np.minimum(cv2.sqrt(light), 1) * np.float32(_STEPS - 1) + np.float32(0.5)).astype(np.uint16)
 

@@ -107,7 +107,7 @@ def gray_pixels(frame: av.VideoFrame) -> NDArray[np.uint8]:
 def rgb_pixels(frame: av.VideoFrame) -> NDArray[np.uint8]:
     """A frame (H, W, 3); of HDR, as SDR shows it."""
     if frame.color_trc in (hdr.PQ, hdr.HLG):
-        return hdr.sdr_pixels(frame.to_ndarray(format="gbrp10le"), frame.color_trc)
+        return hdr.sdr_pixels(np.asarray(frame.to_ndarray(format="gbrp10le"), np.uint16), frame.color_trc)
     return np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
 
 
