@@ -31,7 +31,7 @@ def read(path: Path, limits: Limits) -> Recording:
     ]
     notes = [f"{len(frames)} frames without poses, focal length unknown"]
     if is_hdr:
-        notes.append("the video is HDR: its images are pale, as no tone mapping is applied")
+        notes.append("the video is HDR: its images are tone-mapped to SDR (ITU-R BT.2390)")
     return images_alone(Clock.VIDEO, path.parent, frames, [], notes)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import av
 import numpy as np
 from numpy.typing import NDArray
 
@@ -101,9 +102,11 @@ def place_images(images: Sequence[Image], where: Placement, blurring: Blurring, 
         return list(track(in_parallel(of_file, images), text, len(images)))
     image_of = {ref.index: image for image in images if isinstance(ref := image.image, VideoFrame)}
     decoded = decode(video, set(image_of), where.reader.limits)
-    of_video = in_parallel(lambda frame: (frame[0], rendered(image_of[frame[0]], rgb_pixels(frame[1]))), decoded)
-    done = {
-        index: written(image_of[index], encode_jpeg(rgb), ".jpg", regions)
-        for index, (rgb, regions) in track(of_video, text, len(image_of))
-    }
+
+    def of_frame(frame: tuple[int, av.VideoFrame]) -> tuple[int, bytes, list[Region] | None]:
+        rgb, regions = rendered(image_of[frame[0]], rgb_pixels(frame[1]))
+        return frame[0], encode_jpeg(rgb), regions
+
+    of_video = track(in_parallel(of_frame, decoded), text, len(image_of))
+    done = {index: written(image_of[index], data, ".jpg", regions) for index, data, regions in of_video}
     return [done[index] for index in image_of]
