@@ -21,7 +21,7 @@ from groundwalk.geometry.rows import summed
 _TOLERANCE, _MAX_ITERATIONS = 1e-4, 40
 MAX_FACTORED = 25_000
 """Unknowns of a system whose factor, or inverse, is formed: 5 GB."""
-_MAX_UNFACTORED_STEPS = 500
+_UNFACTORED_TOLERANCE, _MAX_UNFACTORED_STEPS = 1e-2, 500
 _CLUSTER = 64  # frames, at most, of which one factor is formed
 _CHUNK = 64  # frames at once, for memory
 _ROWS = 1024  # of a matrix, likewise
@@ -150,7 +150,7 @@ class Solver:
         shape = (len(right), len(right))
         scaled = LinearOperator(shape, lambda x: unit * system.times(unit * x) + damping * x, dtype=float)
         if len(right) > MAX_FACTORED:
-            return Unfactored(system, diagonal, damping).solve(right)[0]
+            return Unfactored(system, diagonal, damping).solve(right, _UNFACTORED_TOLERANCE)[0]
         if self._factor is not None:
             factor = self._factor
             precondition = LinearOperator(shape, lambda x: cho_solve(factor, x / unit) / unit, dtype=float)
@@ -197,7 +197,7 @@ class Unfactored:
         coarse[:, 7 * len(clusters) :] = self._gathered(self._times(moved))
         self._coarse = pinvh(coarse)
 
-    def solve(self, right: Array, tolerance: float = _TOLERANCE) -> tuple[Array, bool]:
+    def solve(self, right: Array, tolerance: float) -> tuple[Array, bool]:
         """x (l N + G,) or (l N + G, k), and whether it came to the tolerance within as many steps as are taken at most:
         the residual, in units of each unknown's own information, over that of `right`."""
         left, x = right.reshape(len(right), -1).copy(), np.zeros((len(right), right.size // len(right)))
