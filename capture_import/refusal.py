@@ -98,10 +98,12 @@ def _nearest(root: Path, formats: Iterable[Format]) -> list[str]:
                 and not (name == "poses.txt" and _list_of_poses(folder / name))
                 for name, is_here in names
             )
-            if is_told and not all(here):
+            missing = [name.replace("|", " or ") for name, is_here in names if not is_here]
+            if is_told and form.missing is not None:
+                missing = [lacks] if (lacks := form.missing(folder)) else []
+            if is_told and missing:
                 place = "" if folder == root else f" ({folder.relative_to(root)})"
                 found = [next(n for n in name.split("|") if is_in(folder, n)) for name, is_here in names if is_here]
-                missing = [name.replace("|", " or ") for name, is_here in names if not is_here]
                 verbs = [f"{in_words(n)} {'is' if len(n) == 1 else 'are'}" for n in (found, missing)]
                 partly.append((-sum(here) / len(here), f"{form.label}{place}: {verbs[0]} here, {verbs[1]} not"))
     return [text for _, text in sorted(partly, key=lambda item: item[0])[:_MAX_NEAREST]]
