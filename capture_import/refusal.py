@@ -56,7 +56,10 @@ def no_capture(root: Path, formats: Sequence[Format], chosen: Format | None, oth
         others_like = "\n            ".join(nearest[1:])
         return UserError(nearest[0], where=root, expected=others_like or None, found=found, do=do)
     if logs:
-        do = "write frames.jsonl from it, in a few lines: docs/reference/capture-formats.md (from another app's log)"
+        do = (
+            "if its poses are the phone's own (VIO), write frames.jsonl from it, in a few lines: "
+            "docs/reference/capture-formats.md (from another app's log); of SfM, export a COLMAP model"
+        )
         do += alone
     elif images:
         do = "photos are read from three on, and others in a format that is recognised: " + list_them
