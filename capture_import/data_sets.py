@@ -1,14 +1,15 @@
 """Data sets with one file of poses over folders of images, each of which is a recording."""
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, Recording, Reject
-from groundwalk.capture_import.image_files import is_image
+from groundwalk.capture_import.image_files import images_in, in_order, is_image
 from groundwalk.capture_import.media.images import BadImage, image_size
-from groundwalk.capture_import.parsing import BadRow, read_rows, seconds_to_ns
+from groundwalk.capture_import.parsing import BadRow, inside, read_rows, seconds_to_ns
 from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import Clock, PoseSource, SessionSplit
 from groundwalk.store.files import read_json
@@ -79,6 +80,32 @@ def data_set_of(path: Path, images_of: Callable[[Path], Path | None]) -> Path | 
         if images is not None and path.is_relative_to(images):
             return parent if _nested(parent, images) else None
     return None
+
+
+def folder_with(data_set: Path, names: Sequence[str]) -> Path:
+    """The folder that has most of the images of these names: `images/` where none has more, another one in the data
+    set, or itself. Of copies of other sizes (images_2) the first counts, of folders with other images beside these the
+    one with the fewest."""
+    beside = in_order(p for p in data_set.iterdir() if p.is_dir() and p.name != "images" and not p.name.startswith("."))
+
+    def rank(folder: Path) -> tuple[int, bool, int]:
+        return count_in(folder, names), folder.name == "images", -len(images_in(folder))
+
+    return max((data_set / "images", *beside, data_set), key=rank)
+
+
+def count_in(folder: Path, names: Iterable[str]) -> int:
+    """How many images of these names are in a folder."""
+    count = 0
+    for name in names if folder.is_dir() else ():
+        with contextlib.suppress(BadRow):  # `read` refuses names that lead elsewhere
+            count += inside(folder, name).is_file()
+    return count
+
+
+def lost_images(names: Sequence[str]) -> str:
+    """What a data set lacks whose images, of these names, aren't there."""
+    return f"a folder with the {len(names)} images that it names, such as {names[0][:60]}," if names else "images/"
 
 
 def read_reference(

@@ -56,7 +56,10 @@ def no_capture(root: Path, formats: Sequence[Format], chosen: Format | None, oth
         others_like = "\n            ".join(nearest[1:])
         return UserError(nearest[0], where=root, expected=others_like or None, found=found, do=do)
     if logs:
-        do = "write frames.jsonl from it, in a few lines: docs/reference/capture-formats.md (from another app's log)"
+        do = (
+            "if its poses are the phone's own (VIO), write frames.jsonl from it, in a few lines: "
+            "docs/reference/capture-formats.md (from another app's log); of SfM, export a COLMAP model"
+        )
         do += alone
     elif images:
         do = "photos are read from three on, and others in a format that is recognised: " + list_them
@@ -98,10 +101,12 @@ def _nearest(root: Path, formats: Iterable[Format]) -> list[str]:
                 and not (name == "poses.txt" and _list_of_poses(folder / name))
                 for name, is_here in names
             )
-            if is_told and not all(here):
+            missing = [name.replace("|", " or ") for name, is_here in names if not is_here]
+            if is_told and form.missing is not None:
+                missing = [lacks] if (lacks := form.missing(folder)) else []
+            if is_told and missing:
                 place = "" if folder == root else f" ({folder.relative_to(root)})"
                 found = [next(n for n in name.split("|") if is_in(folder, n)) for name, is_here in names if is_here]
-                missing = [name.replace("|", " or ") for name, is_here in names if not is_here]
                 verbs = [f"{in_words(n)} {'is' if len(n) == 1 else 'are'}" for n in (found, missing)]
                 partly.append((-sum(here) / len(here), f"{form.label}{place}: {verbs[0]} here, {verbs[1]} not"))
     return [text for _, text in sorted(partly, key=lambda item: item[0])[:_MAX_NEAREST]]

@@ -15,6 +15,8 @@ from groundwalk.store.hints import setting_of
 # Parts of a walk that are fitted on their own have at least so many frames, and are at most so many.
 _MIN_PART, _MAX_PARTS = 6, 8
 _REFITS = 5
+# No lens turns cameras further: a fifth of the focal length, as the principal point's place.
+_MAX_LENS_DEG = 10.0
 
 
 @dataclass(frozen=True)
@@ -90,11 +92,14 @@ def _turned_cameras(reference_T_cam: Array, sfm_T_cam: Array, limits: Limits) ->
         turn = fit.a_S_b.rotation
     if fit is None or not limits.agrees(fit, _extent(corrected)):
         return ""
+    degrees = np.degrees(rotation_angle(cam_R_stated))
+    alike = f"it agrees where all cameras are turned alike, by {degrees:.1f} degrees"
+    if degrees < _MAX_LENS_DEG:
+        return f"{alike}: as by a principal point, or a lens, that isn't the stated one"
     axes = ", ".join("(" + ", ".join(f"{v + 0.0:.2f}" for v in np.round(axis, 2)) + ")" for axis in cam_R_stated.T)
     return (
-        f"it agrees where all cameras are turned alike, by {np.degrees(rotation_angle(cam_R_stated)):.1f} degrees; "
-        f"the stated x, y and z axes are then {axes} in the camera's (x right, y down, z forward): poses of a robot, "
-        "an IMU or another body than the camera"
+        f"{alike}; the stated x, y and z axes are then {axes} in the camera's (x right, y down, z forward): poses of a "
+        "robot, an IMU or another body than the camera"
     )
 
 

@@ -23,7 +23,6 @@ The poses are a reference, not VIO. Each folder of images in the images' folder 
 pycolmap, as it may hang over a damaged one.
 """
 
-import contextlib
 import functools
 import os
 import struct
@@ -40,8 +39,11 @@ from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import Intrinsics, Limits, Recording
 from groundwalk.capture_import.data_sets import (
     NO_DISTORTION,
+    count_in,
     data_set_of,
+    folder_with,
     is_metric_export,
+    lost_images,
     read_reference,
 )
 from groundwalk.capture_import.formats import Format
@@ -126,7 +128,7 @@ def _read_data_set(path: Path, limits: Limits) -> _DataSet | None:
             files = [file for folder in folders for name in ("cameras.*", "images.*") for file in folder.glob(name)]
             data_set = _read_models(path, folders, limits, tuple(f.stat().st_mtime_ns for f in (path, *files)))
             largest = next(iter(data_set.models.values()))
-            if workspace == path or _count(data_set.images, (image.name for image in largest.images)):
+            if workspace == path or count_in(data_set.images, (image.name for image in largest.images)):
                 return data_set
     return None
 
@@ -144,20 +146,8 @@ def _read_models(path: Path, folders: tuple[Path, ...], limits: Limits, written:
     if not is_metric_export(path):  # our own exports have each image's focal length as the phone logged it
         models = {folder: _with_shared_cameras(model) for folder, model in models.items()}
     largest_first = sorted(models, key=lambda folder: -len(models[folder].images))
-    names = [image.name for image in models[largest_first[0]].images]
-    beside = in_order(p for p in path.iterdir() if p.is_dir() and p.name != "images" and not p.name.startswith("."))
-    # Copies of other sizes (images_2) have the same names: the first that has most of them counts.
-    images = max((path / "images", *beside, path), key=lambda folder: _count(folder, names))
+    images = folder_with(path, [image.name for image in models[largest_first[0]].images])
     return _DataSet({folder: models[folder] for folder in largest_first}, images)
-
-
-def _count(folder: Path, names: Iterable[str]) -> int:
-    """How many images of these names are in a folder."""
-    count = 0
-    for name in names if folder.is_dir() else ():
-        with contextlib.suppress(parsing.BadRow):  # `read` refuses names that lead elsewhere
-            count += parsing.inside(folder, name).is_file()
-    return count
 
 
 def detect(path: Path) -> bool:
@@ -165,6 +155,15 @@ def detect(path: Path) -> bool:
     data_set = data_set_of(path, _images_of)
     images = None if data_set is None else _images_of(data_set)
     return images is not None and images.is_dir()
+
+
+def missing(path: Path) -> str:
+    """What a folder with a model lacks: the images that it names."""
+    try:
+        data_set = _read_data_set(path, Limits())
+    except UserError:
+        return "images/"
+    return lost_images([image.name for image in next(iter(data_set.models.values())).images]) if data_set else ""
 
 
 def read(path: Path, limits: Limits) -> Recording:
@@ -226,12 +225,14 @@ def _with_shared_cameras(found: _Model) -> _Model:
     for (model, width, height), numbers in alone.items():
         params = np.array([found.cameras[number].params for number in numbers])
         alike = np.abs(params[:, 0] / np.median(params[:, 0]) - 1) < _ALIKE_FOCAL
+        if alike.sum() < max(_MIN_CAMERAS, _ALIKE_SHARE * len(numbers)):
+            continue
         middle = np.median(params[alike], axis=0)
         scatter = 1.4826 * np.median(np.abs(params[alike] - middle), axis=0)
         focal_scatter, rest = float(scatter[0] / middle[0]), _MODELS[model][1] + 2
         least = 0 if rest < params.shape[1] else _LOGGED_SCATTER
         are_estimates = least <= focal_scatter <= _ALIKE_SCATTER and np.ptp(params, axis=0).any()
-        if alike.sum() < max(_MIN_CAMERAS, _ALIKE_SHARE * len(numbers)) or not are_estimates:
+        if not are_estimates:
             continue
         if (scatter[rest : rest + 1] > _MAX_K1_SCATTER).any():
             middle[rest:] = 0
@@ -351,8 +352,9 @@ FORMAT = Format(
     id="colmap",
     label="COLMAP model",
     meaning="images, reference poses",
-    files=("sparse/*/images.*|sparse/images.*|images.bin|images.txt", "images/|*/*.jpg|*/*.png"),
+    files=("sparse/*/images.*|sparse/images.*|images.bin|images.txt", "images/"),
     looks_for="cameras and images (.bin or .txt) in sparse/0/, beside the folder of images",
     detect=detect,
+    missing=missing,
     read=read,
 )

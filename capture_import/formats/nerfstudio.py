@@ -14,11 +14,14 @@ Documented at https://docs.nerf.studio/quickstart/data_conventions.html. What ma
   image its size (instant-ngp's files and NeRF's synthetic scenes);
 - `test_filenames` say which images are for testing, or `transforms_test.json` beside `transforms_train.json` and
   `transforms_val.json` (val trains);
+- where no image lies where its row says, those of the same names in another folder are meant;
 - frames have no times, and the order of names isn't one of time.
 
 The poses are a reference, not VIO. Each folder of images in `images/` is a recording.
 """
 
+import contextlib
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -32,6 +35,8 @@ from groundwalk.capture_import.capture import Intrinsics, Limits, Recording, Rej
 from groundwalk.capture_import.data_sets import (
     NO_DISTORTION,
     data_set_of,
+    folder_with,
+    lost_images,
     read_reference,
     size_of,
 )
@@ -57,7 +62,45 @@ _ASSUMED = {
 
 def _images_of(path: Path) -> Path | None:
     """A data set's folder of images: where rows name others, it's a recording as a whole."""
-    return path / "images" if any(_is_log(path / name) for name in _FILES) else None
+    logs = _logs(path)
+    return path / "images" if logs and not _lost(logs, _written(logs)) else None
+
+
+def _logs(path: Path) -> tuple[Path, ...]:
+    logs = [path / name for name in _FILES if _is_log(path / name)]
+    return tuple(logs[:1] if logs and logs[0].name == _FILES[0] else logs)
+
+
+def _written(logs: Sequence[Path]) -> tuple[int, ...]:
+    return tuple(path.stat().st_mtime_ns for path in (logs[0].parent, *logs))
+
+
+@functools.lru_cache(maxsize=2)  # each folder of images asks its data set
+def _lost(logs: tuple[Path, ...], written: tuple[int, ...]) -> list[Path]:
+    """The images that a folder's logs name, where none of them is there; `written`: when these last changed."""
+    images = []
+    for log in logs:
+        with contextlib.suppress(UserError):  # `read` says what is wrong with it
+            frames = parsing.json_of(log, Limits()).get("frames")
+            for row in frames if isinstance(frames, list) else ():
+                with contextlib.suppress(parsing.BadRow):
+                    images.append(_image(log.parent, row))
+    return [] if any(image.is_file() for image in _moved(logs[0].parent, images)) else images
+
+
+def _moved(data_set: Path, images: list[Path]) -> list[Path]:
+    """Images that rows name, where none of them is there: those of the same names in another folder."""
+    names = [image.name for image in images]
+    if any(image.is_file() for image in images) or len(set(names)) < len(names):
+        return images
+    return [folder_with(data_set, names) / name for name in names]
+
+
+def missing(path: Path) -> str:
+    """What a folder with a transforms.json lacks: the images that it names."""
+    logs = _logs(path)
+    lost = _lost(logs, _written(logs)) if logs else []
+    return lost_images([image.relative_to(path).as_posix() for image in lost]) if lost else ""
 
 
 def _is_log(file: Path) -> bool:
@@ -72,11 +115,10 @@ def detect(path: Path) -> bool:
 def read(path: Path, limits: Limits) -> Recording:
     """Read the frames of one recording."""
     data_set = data_set_of(path, _images_of) or path
-    logs = [data_set / name for name in _FILES if _is_log(data_set / name)]
     rows: list[tuple[str, Path, tuple[Array, dict[str, Any]]]] = []
     nameless: list[Reject] = []
     tested: set[Path] = set()
-    for file in logs[:1] if logs[0].name == _FILES[0] else logs:
+    for file in _logs(data_set):
         content = parsing.json_of(file, limits)
         frames = content.get("frames")
         if not isinstance(frames, list):
@@ -99,7 +141,14 @@ def read(path: Path, limits: Limits) -> Recording:
         world_T_file, stated = row
         return world_T_file @ parsing.from_arkit(_pose(stated)), _intrinsics(stated, image)
 
+    named = [image for _, image, _ in rows]
+    moved = dict(zip(named, _moved(data_set, named), strict=True))
     assumed = [note for note, key in _ASSUMED.items() if any(key not in stated for *_, (_, stated) in rows)]
+    if named and moved[named[0]] != named[0]:
+        folder = moved[named[0]].parent.name
+        assumed.append(f"no image is where its row says: those of the same names in {folder}/ are read")
+    rows = [(source, moved[image], row) for source, image, row in rows]
+    tested = {moved.get(image, image) for image in tested}
     recording = read_reference(path, data_set, rows, read_row, tested, assumed)
     # Rows without an image are of no folder: they are listed once, with the first image's recording.
     is_first = not rows or path in (data_set, rows[0][1].parent)
@@ -207,6 +256,7 @@ FORMAT = Format(
     files=("|".join(_FILES),),
     looks_for="transforms.json without times, or transforms_train.json and transforms_test.json",
     detect=detect,
+    missing=missing,
     read=read,
     yields_to=("colmap",),  # whose models have the whole distortion, and no applied_transform
 )

@@ -22,7 +22,16 @@ HALVES = {
     "rtabmap": ("scan_rgb", "RTAB-Map export{place}: *_camera_poses.txt and *_calib/ are here, *_rgb/ is not"),
     "kitti": ("poses.txt", "KITTI odometry{place}: calib.txt, times.txt and image_2/ are here, poses.txt is not"),
     "llff": ("images", "LLFF{place}: poses_bounds.npy is here, images/ or images_*/ is not"),
-    "colmap": ("images", "COLMAP model{place}: sparse/*/images.* is here, images/ or */*.jpg or */*.png is not"),
+    "colmap": (
+        "images",
+        "COLMAP model{place}: sparse/*/images.* is here, a folder with the 3 images that it names, such as "
+        "000000.jpg, is not",
+    ),
+    "nerfstudio": (
+        "images",
+        "nerfstudio transforms.json{place}: transforms.json is here, a folder with the 3 images that it "
+        "names, such as images/000004.jpg, is not",
+    ),
 }
 
 
@@ -33,6 +42,28 @@ def refused(root: Path) -> str:
     said = str(error.value)
     assert len(said.splitlines()) <= 12 and said.count(" not\n") <= 3
     return said
+
+
+@pytest.mark.parametrize("name", ["colmap", "nerfstudio"])
+def test_other_images_than_those_that_are_named_are_none_of_the_recording(tmp_path: Path, name: str) -> None:
+    root = tmp_path / "capture"
+    WRITERS[name].write(root, make_walk(12))
+    others = root / "other"
+    (root / "images").rename(others)
+    for image in list(others.iterdir()):
+        image.rename(image.with_name(f"photo {image.name}".replace(".jpg", ".JPG")))
+    assert HALVES[name][1].format(place="").partition(" 3 ")[0] in (said := refused(root))
+    assert 'format = "photos"' in said
+
+
+def test_a_list_of_images_is_no_model_of_colmap(tmp_path: Path) -> None:
+    root = tmp_path / "capture"
+    root.mkdir()
+    for n in range(3):
+        (root / f"{n}.jpg").write_bytes(make_walk(4).jpeg(n))
+    (root / "images.txt").write_text("0.jpg\n1.jpg\n2.jpg\n")
+    (found,) = find_recordings(root, tmp_path / "unpacked", Limits())
+    assert found.format.id == "photos"
 
 
 @pytest.mark.parametrize("name", HALVES)

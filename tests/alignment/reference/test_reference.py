@@ -133,6 +133,7 @@ def test_a_reference_that_nothing_agrees_with_is_refused(walks: Walks) -> None:
 
 
 AXES = "camera y and z axes have the other sign"
+TURNED = make_pose(Rotation.from_euler("y", 8, degrees=True).as_matrix(), [0, 0, 0])
 ROBOT = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # x forward, y left, z up
 
 
@@ -141,9 +142,10 @@ ROBOT = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # x forward, y left, z 
     [
         (0.02, lambda pose: pose @ np.diag([1.0, -1, -1, 1]), AXES),
         (1.0, inverse, "poses are world to camera, in OpenCV's axes"),
-        (1000.0, lambda pose: pose @ make_pose(ROBOT.T, [0, 0, 0]), "turned alike, by 120.0 degrees"),
+        (1000.0, lambda pose: pose @ make_pose(ROBOT.T, [0, 0, 0]), "turned alike, by 120.0 degrees; the stated x"),
+        (1.0, lambda pose: pose @ TURNED, "turned alike, by 8.0 degrees: as by a principal point"),
     ],
-    ids=["axes", "inverse", "robot"],
+    ids=["axes", "inverse", "robot", "principal_point"],
 )
 def test_a_wrong_convention_is_named(
     walks: Walks, scale: float, mistake: Callable[[np.ndarray], np.ndarray], said: str

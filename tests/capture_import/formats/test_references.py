@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -316,6 +317,38 @@ def test_each_folder_of_images_is_a_recording(tmp_path: Path, write: Callable[[P
     (root / "images" / "b").rename(tmp_path / "elsewhere")
     (session,) = read_all(tmp_path)
     assert "3 rows name images in missing folders" in session.notes[0]
+
+
+@pytest.mark.parametrize("write", [write_colmap, write_nerfstudio])
+def test_images_are_those_of_the_folder_that_has_them(tmp_path: Path, write: Callable[[Path, Walk], object]) -> None:
+    root = tmp_path / "walk"
+    write(root, make_walk(12))
+    (root / "images").rename(root / "rgb")
+    shutil.copytree(root / "rgb", root / "1080")  # other images of the same names, and one more
+    (root / "1080" / "more.jpg").write_bytes(make_walk(4).jpeg(0))
+    (raw,) = read_all(tmp_path)
+    folders = {frame.image.path.parent for frame in raw.frames if frame.image is not None}
+    assert (len(raw.frames), folders) == (6, {root / "rgb"})
+    assert write is write_colmap or "in rgb/ are read" in raw.notes[-1]
+
+
+def test_a_recording_below_a_log_whose_images_are_elsewhere_is_found(tmp_path: Path) -> None:
+    write_nerfstudio(tmp_path / "walk", make_walk(12))
+    shutil.rmtree(tmp_path / "walk" / "images")
+    write_colmap(tmp_path / "walk" / "colmap_dense", make_walk(12))
+    (raw,) = read_all(tmp_path / "walk")
+    assert (raw.recording_id, raw.format, len(raw.frames)) == ("colmap_dense", "colmap", 6)
+
+
+def test_two_cameras_whose_focal_lengths_are_far_apart_are_two(tmp_path: Path) -> None:
+    write_colmap(tmp_path / "walk", make_walk(4))
+    folder = tmp_path / "walk" / "sparse" / "0"
+    model = pycolmap.Reconstruction(folder)
+    model.cameras[1].params = [2 * model.cameras[1].params[0], *model.cameras[1].params[1:]]
+    model.write_binary(folder)
+    with warnings.catch_warnings(action="error"):
+        (raw,) = read_all(tmp_path)
+    assert len({frame.intrinsics.fx for frame in raw.frames if frame.intrinsics}) == 2
 
 
 @pytest.mark.parametrize("metric", [False, True])
