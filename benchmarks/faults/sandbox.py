@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from benchmarks.faults.case import DONE, Case, Outcome
 from groundwalk.cli import all_commands, app
 from groundwalk.store.cores import usable_cores
-from groundwalk.store.files import partial_folder
+from groundwalk.store.files import old_folder, partial_folder
 from groundwalk.store.manifests import output_hashes
 from groundwalk.store.memory import PeakMemory
 from groundwalk.store.settings import STAGES, DataRoot
@@ -73,12 +73,13 @@ class Sandbox:
         return Sandbox(folder)
 
     def state(self) -> dict[str, str]:
-        """Every file by its path: its size, time and inode, which no reading changes; locks left out."""
+        """Every file by its path: its size and inode, which no reading changes; without locks, and without the page of
+        all runs, which is made anew whatever a stage's end."""
         names = {}
         for base, folders, files in os.walk(self.folder):
             for name in (*files, *(f for f in folders if (Path(base) / f).is_symlink())):
                 path = Path(base) / name
-                if not name.endswith(".lock"):
+                if not name.endswith(".lock") and name.removesuffix(".partial") != "index.html":
                     status = path.lstat()
                     content = path.readlink() if path.is_symlink() else f"{status.st_size} {status.st_ino}"
                     names[path.relative_to(self.folder).as_posix()] = str(content)
@@ -128,14 +129,12 @@ def run_case(case: Case, base: Sandbox, folder: Path, seed: int) -> Outcome:
 
 
 def _may_change(name: str, case: Case, status: int, sandbox: Sandbox) -> bool:
-    """A stage may write its partial folder, and replace its artefact when it ends well; so may what writes a folder.
-    The page of all runs is made anew whatever a stage's end."""
-    if sandbox.folder / name.removesuffix(".partial") == sandbox.data.root / "runs" / "index.html":
-        return True
+    """A stage may write its partial folder, drop its old one, and replace its artefact when it ends well; so may what
+    writes a folder."""
     if case.writes is None:
         return False
     final = sandbox.folder / case.writes if "/" in case.writes else sandbox.run_of(case.writes)
-    places = [partial_folder(final), *([final] if status == DONE else [])]
+    places = [partial_folder(final), old_folder(final), *([final] if status == DONE else [])]
     return any((sandbox.folder / name).is_relative_to(place) for place in places)
 
 

@@ -19,7 +19,7 @@ from groundwalk.store import progress
 from groundwalk.store.builtin import BUILTIN
 from groundwalk.store.errors import UserError
 from groundwalk.store.settings import Settings, validated
-from groundwalk.store.signals import keep_handlers
+from groundwalk.store.signals import handlers_kept
 
 Colour = tuple[int, int, int]
 GROUNDWALK = "groundwalk"
@@ -39,9 +39,8 @@ class Lazy:
 
     def load(self) -> Any:
         """What it stands for, imported."""
-        loaded = pkgutil.resolve_name(self.reference)
-        keep_handlers()
-        return loaded
+        with handlers_kept():
+            return pkgutil.resolve_name(self.reference)
 
     def __call__(self, *arguments: Any, **more: Any) -> Any:
         return self.load()(*arguments, **more)

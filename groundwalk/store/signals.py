@@ -33,11 +33,19 @@ def signals_raise() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def keep_handlers() -> None:
-    """Python's handler of SIGTERM again, after modules were loaded: glog, which comes with pycolmap, has put one of its
-    own there, that prints a stack and ends the process."""
-    if threading.current_thread() is threading.main_thread():
+@contextlib.contextmanager
+def handlers_kept() -> Iterator[None]:
+    """Python's handler of SIGTERM is again there when the block ends, which loads modules: glog, which comes with
+    pycolmap, puts one of its own there, that prints a stack and ends the process. SIGTERM waits until then."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    try:
+        yield
+    finally:
         signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager

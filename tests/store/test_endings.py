@@ -17,7 +17,7 @@ from groundwalk.store import DataRoot, StageRun, UserError, execute
 from groundwalk.store.child import ProcessDied, Report, Task, in_child, preload
 from groundwalk.store.cli import stage_app
 from groundwalk.store.registry import Lazy
-from groundwalk.store.signals import Stopped
+from groundwalk.store.signals import Stopped, handlers_kept, signals_raise
 from tests.known import filled
 from tests.store.places import NoSettings, stage
 
@@ -219,3 +219,11 @@ def test_a_stop_that_python_hides_in_another_error_is_still_a_stop(
     with pytest.raises(SystemExit) as ended:
         stage_app(stage(hidden))(["--scene", "place", "--profile", "tiny", "--data", str(data.root)])
     assert ended.value.code == 143 and capsys.readouterr().err.endswith("resumes from the last checkpoint\n")
+
+
+def test_a_signal_that_comes_while_modules_are_loaded_waits() -> None:
+    is_held = False
+    with signals_raise(), pytest.raises(Stopped), handlers_kept():
+        os.kill(os.getpid(), signal.SIGTERM)
+        is_held = True
+    assert is_held
