@@ -292,7 +292,8 @@ def prior_information(cameras: Cameras, priors: CameraPriors) -> csr_array:
     values.append((1 / priors.angular_sd**2).ravel())
     for session in range(sessions):
         members = np.flatnonzero(cameras.session == session)
-        add(_LOCAL * members + _FOCUS, np.linalg.inv(_focus_covariance(cameras.t_s[members], priors.focus_sd[session])))
+        covariance = _focus_covariance(cameras.t_s[members], priors.focus_sd[session])
+        add(_LOCAL * members + _FOCUS, np.asarray(np.linalg.inv(covariance), float))
         add(np.array([size + LENS_UNKNOWNS * lenses + session]), np.array([[1 / priors.log_focal_sd[session] ** 2]]))
     for lens in range(lenses):
         add(size + LENS_UNKNOWNS * lens + np.arange(LENS_UNKNOWNS), np.linalg.inv(priors.lens_covariance[lens]))

@@ -185,16 +185,15 @@ class Unfactored:
         ]
         self._motions = []
         for members in clusters:
-            motions = np.zeros((len(members), local, 7))
-            motions[:, :6] = similarities(system.position[members])
-            self._motions.append(motions.reshape(-1, 7))
+            of_frame = np.zeros((len(members), local, 7))
+            of_frame[:, :6] = similarities(system.position[members])
+            self._motions.append(of_frame.reshape(-1, 7))
         coarse = np.empty((7 * len(clusters) + total - size,) * 2)
         for k, (index, motions) in enumerate(zip(self._index, self._motions, strict=True)):
             moved = np.zeros((total, 7))
             moved[index] = motions
             coarse[:, 7 * k : 7 * k + 7] = self._gathered(self._times(moved))
-        moved = np.eye(total, total - size, -size)
-        coarse[:, 7 * len(clusters) :] = self._gathered(self._times(moved))
+        coarse[:, 7 * len(clusters) :] = self._gathered(self._times(np.eye(total, total - size, -size)))
         self._coarse = pinvh(coarse)
 
     def solve(self, right: Array, tolerance: float) -> tuple[Array, bool]:
