@@ -12,6 +12,7 @@ points have priors. Gauss-Newton with Levenberg's damping on Cauchy's loss, poin
 adjustment - a modern synthesis", 2000). Each point's residuals count by its own variance (`point_noise`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,7 +25,15 @@ from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN, cauchy_weights
 from groundwalk.geometry.rows import summed
 from groundwalk.geometry.shutter import readout_fraction
-from groundwalk.sfm.cameras.normal_equations import MAX_FACTORED, Solver, System, block_rows, inverse_of, similarities
+from groundwalk.sfm.cameras.normal_equations import (
+    MAX_FACTORED,
+    Solver,
+    System,
+    Unfactored,
+    block_rows,
+    inverse_of,
+    similarities,
+)
 from groundwalk.store.progress import track
 
 Ints = NDArray[np.int64]
@@ -44,6 +53,7 @@ _NOISE_FREEDOM, _MAX_NOISE_SIGMAS, _NOISE_STEPS = 4.0, 3.0, 5
 _MAX_DAMPINGS = 6
 _MIN_READOUT_S = 1e-6
 _MIN_COST_DECREASE = 1e-4  # relative change of the cost
+_TOLERANCE = 1e-3  # of products with the inverse of a large system
 # How long a focus stays as it is, and the share of its variance that is each frame's alone.
 _FOCUS_LAG_S, _FOCUS_NOISE = 5.0, 1e-3
 
@@ -434,14 +444,14 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
     """
     bundle, cameras = adjusted.bundle, adjusted.cameras
     linear, weight, system = _normal_equations(adjusted)
-    inverse = inverse_of(system.matrix())
+    variances, solved = _inverse(system)
     variance = loss_variance(adjusted.loss_px)
-    by_images = np.sum(1 - _of_frames(variance * np.diag(inverse), cameras)[1] / adjusted.priors.angular_sd**2, axis=1)
-    pull = np.zeros(len(inverse))
+    by_images = np.sum(1 - _of_frames(variance * variances, cameras)[1] / adjusted.priors.angular_sd**2, axis=1)
+    pull = np.zeros(len(system.gradient))
     readout = _LOCAL * len(cameras.t_s) + LENS_UNKNOWNS * np.arange(len(cameras.readout_s)) + READOUT
     rolls = np.abs(cameras.readout_s) > _MIN_READOUT_S
     pull[readout[rolls]] = variance * np.bincount(cameras.lens, by_images)[rolls] / cameras.readout_s[rolls]
-    step = -inverse @ pull
+    step = -solved(pull)
     still = replace(linear, residual=np.zeros_like(linear.residual))
     at_rest = replace(system, point_gradient=np.zeros_like(system.point_gradient))
     moved = with_step(bundle, cameras, step, _point_step(bundle, cameras, still, weight, at_rest, step))
@@ -450,8 +460,17 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
 
 def frame_variances(adjusted: Adjusted) -> tuple[Array, Array]:
     """The variances of each frame's focus (N,) and angular velocity (N, 3), rad^2/s^2, by images and priors."""
-    inverse = inverse_of(_normal_equations(adjusted)[2].matrix())
-    return _of_frames(loss_variance(adjusted.loss_px) * np.diag(inverse), adjusted.cameras)
+    variances, _ = _inverse(_normal_equations(adjusted)[2])
+    return _of_frames(loss_variance(adjusted.loss_px) * variances, adjusted.cameras)
+
+
+def _inverse(system: System) -> tuple[Array, Callable[[Array], Array]]:
+    """The diagonal of a system's inverse, and what multiplies a vector by it."""
+    if is_large(len(system.blocks)):
+        solver = Unfactored(system, system.diagonal(), 0.0)
+        return solver.variances(), lambda right: solver.solve(right, _TOLERANCE)[0]
+    inverse = inverse_of(system.matrix())
+    return np.diag(inverse), lambda right: inverse @ right
 
 
 def _of_frames(unknowns: Array, cameras: Cameras) -> tuple[Array, Array]:

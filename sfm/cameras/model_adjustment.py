@@ -21,7 +21,6 @@ from groundwalk.sfm.cameras.adjustment import (
     adjust,
     folded,
     frame_variances,
-    is_large,
     loss_variance,
     marginal_readout,
     project,
@@ -169,12 +168,10 @@ def adjust_model(
     learned = priors
     if settings.refine_cameras != "never":
         priors = with_shrunk_sds(adjusted)
-        learned = priors if is_large(len(rows)) else with_likeliest_sds(adjusted)
+        learned = with_likeliest_sds(adjusted)
         lenses = [log.lenses.priors[k] for k in np.unique(log.lenses.lens[rows])]
         learned = replace(learned, lens_covariance=learned.lens_covariance + np.array([*map(_doubt, lenses)]))
-    adjusted = adjust(bundle, adjusted.cameras, priors)
-    if not is_large(len(rows)):
-        adjusted = marginal_readout(adjusted)
+    adjusted = marginal_readout(adjust(bundle, adjusted.cameras, priors))
     _write_back(model, rows, point_ids, adjusted, features)
     observations.filter_observations_with_negative_depth()
     model.update_point_3d_errors()

@@ -215,6 +215,14 @@ class Unfactored:
             way = near + gained / np.maximum(before, np.finfo(float).tiny) * way
         return x.reshape(right.shape), False
 
+    def variances(self) -> Array:
+        """The inverse's diagonal (l N,) of the frames' unknowns, as far as their clusters tell, with the other frames
+        held. Of what is a frame's own, as its angular velocity, that is nearly all; of others it's too small."""
+        found = np.zeros(self._system.size)
+        for index, factor in zip(self._index, self._factors, strict=True):
+            found[index] = np.maximum(found[index], np.diag(cho_solve(factor, np.eye(len(index)))))
+        return found
+
     def _norm(self, left: Array) -> Array:
         return np.asarray(np.linalg.norm(self._unit[:, None] * left, axis=0))
 

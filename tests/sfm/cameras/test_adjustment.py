@@ -20,7 +20,9 @@ from groundwalk.sfm.cameras.adjustment import (
     adjust,
     camera_unknowns,
     folded,
+    frame_variances,
     linearize,
+    marginal_readout,
     prior_information,
     project,
     regular_system,
@@ -229,9 +231,11 @@ def test_a_model_too_large_for_a_factor_comes_out_the_same(monkeypatch: pytest.M
     large, _, _ = _adjusted(0)
     assert _position_error_m(large.bundle, truth) < 1.05 * _position_error_m(factored.bundle, truth)
     assert np.allclose(large.cameras.coefficients, factored.cameras.coefficients, atol=2e-3)
-    exact = covariances(factored)
+    exact, (_, angular), marginal = covariances(factored), frame_variances(factored), marginal_readout(factored)
     monkeypatch.setattr(adjustment, "MAX_FACTORED", 0)
-    sampled = covariances(factored)
+    sampled, (_, of_clusters), of_large = covariances(factored), frame_variances(factored), marginal_readout(factored)
+    assert 0.8 < np.median(of_clusters / angular) <= 1
+    assert np.allclose(of_large.cameras.readout_s, marginal.cameras.readout_s, rtol=0.01)
     assert exact is not None and sampled is not None
     ratio = np.sqrt(np.einsum("nii->ni", sampled.poses) / np.einsum("nii->ni", exact.poses))
     assert abs(np.median(ratio) - 1) < 0.1 and ratio.std() < 0.15
