@@ -69,7 +69,7 @@ def main(
     shutil.rmtree(tried, ignore_errors=True)
     tried.mkdir()
     outcomes = run_all(base, tried, seed, only, fraction)
-    _write(outcomes, out, seed)
+    _write(outcomes, out, seed, fraction)
     bad = [outcome for outcome in outcomes if outcome.problems]
     for outcome in bad:
         print(f"{outcome.case.kind}: {outcome.case.name} ({outcome.done}): {'; '.join(outcome.problems)}")
@@ -77,7 +77,7 @@ def main(
     raise typer.Exit(1 if bad else 0)
 
 
-def _write(outcomes: list[Outcome], out: Path, seed: int) -> None:
+def _write(outcomes: list[Outcome], out: Path, seed: int, fraction: float) -> None:
     kinds = dict.fromkeys(o.case.kind for o in outcomes)
     rows = [
         ["fault", "cases", "done", "refused", "stopped", "tracebacks", "lost or changed", "outside", "other", "MiB"]
@@ -102,7 +102,8 @@ def _write(outcomes: list[Outcome], out: Path, seed: int) -> None:
         "# Faults on purpose",
         "Written by `make test-faults` (`python -m benchmarks.faults`), not to be edited; `faults.csv` has every case. "
         "A simulated scene of the smallest size. What is promised: docs/explanation/promises.md.",
-        f"{circumstances()} Seed {seed}. MiB: largest memory of one command, with all libraries loaded before.",
+        f"{circumstances()} Seed {seed}, {fraction:.0%} of the cases, drawn at random. MiB: largest memory of one command, "
+        "with all libraries loaded before.",
         markdown_table(rows),
     ]
     figures: list[list[object]] = [["fault", "case", "done", "exit_status", "peak_mib", "problems"]]
