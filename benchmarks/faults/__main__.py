@@ -102,8 +102,8 @@ def _write(outcomes: list[Outcome], out: Path, seed: int, fraction: float) -> No
         "# Faults on purpose",
         "Written by `make test-faults` (`python -m benchmarks.faults`), not to be edited; `faults.csv` has every case. "
         "A simulated scene of the smallest size. What is promised: docs/explanation/promises.md.",
-        f"{circumstances()} Seed {seed}, {fraction:.0%} of the cases, drawn at random. MiB: largest memory of one command, "
-        "with all libraries loaded before.",
+        f"{circumstances()} Seed {seed}, {fraction:.0%} of the cases, drawn at random. MiB: largest memory of one "
+        "command, with all libraries loaded before.",
         markdown_table(rows),
     ]
     figures: list[list[object]] = [["fault", "case", "done", "exit_status", "peak_mib", "problems"]]

@@ -138,7 +138,9 @@ def _sampled(
         raise LinAlgError("conjugate gradients take too many steps")
     moved = np.hstack(parts)
     moved = (moved - gauge @ (h @ moved)).reshape(-1, 6, _SAMPLES)
-    return of_shared.T, moved @ np.swapaxes(moved, 1, 2) / _SAMPLES
+    # So few samples may have missed where errors are large: so much larger, squared errors over them are as expected
+    # (the mean of an inverse Wishart distribution).
+    return of_shared.T, moved @ np.swapaxes(moved, 1, 2) / (_SAMPLES - 6 - 1)
 
 
 def _dense(by_keypoint: csr_array, information: csr_array) -> Array:
