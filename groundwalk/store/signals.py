@@ -36,7 +36,8 @@ def signals_raise() -> Iterator[None]:
 @contextlib.contextmanager
 def handlers_kept() -> Iterator[None]:
     """Python's handler of SIGTERM is again there when the block ends, which loads modules: glog, which comes with
-    pycolmap, puts one of its own there, that prints a stack and ends the process. SIGTERM waits until then."""
+    pycolmap, puts one of its own there, that prints a stack and ends the process. SIGTERM waits until then, where the
+    main thread gets it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -7,6 +7,7 @@ import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -224,6 +225,6 @@ def test_a_stop_that_python_hides_in_another_error_is_still_a_stop(
 def test_a_signal_that_comes_while_modules_are_loaded_waits() -> None:
     is_held = False
     with signals_raise(), pytest.raises(Stopped), handlers_kept():
-        os.kill(os.getpid(), signal.SIGTERM)
+        signal.pthread_kill(threading.get_ident(), signal.SIGTERM)
         is_held = True
     assert is_held
