@@ -179,7 +179,7 @@ def _covariances(
     covariance = np.full((frames, 6, 6), np.nan)
     for one, (bundle, rows) in zip(models, adjusted, strict=True):
         if (estimate := covariances(bundle)) is None:  # its frames are of class C
-            r.say(f"model {one.model_id}: no covariances: its points tie its frames too weakly")
+            r.say(f"model {one.model_id}: no covariances: its points are too few, or don't determine its poses")
         else:
             covariance[rows] = estimate.poses
             messages.report_coherence(r, one, estimate)

@@ -75,11 +75,11 @@ class Sandbox:
     def state(self) -> dict[str, str]:
         """Every file by its path: its size and inode, which no reading changes; without locks, and without the page of
         all runs, which is made anew whatever a stage's end."""
-        names = {}
+        names, page = {}, self.data.root / "runs" / "index.html"
         for base, folders, files in os.walk(self.folder):
             for name in (*files, *(f for f in folders if (Path(base) / f).is_symlink())):
                 path = Path(base) / name
-                if not name.endswith(".lock") and name.removesuffix(".partial") != "index.html":
+                if not name.endswith(".lock") and path.with_name(name.removesuffix(".partial")) != page:
                     status = path.lstat()
                     content = path.readlink() if path.is_symlink() else f"{status.st_size} {status.st_ino}"
                     names[path.relative_to(self.folder).as_posix()] = str(content)

@@ -4,6 +4,7 @@ HLG is shown on a display of 1,000 cd/m2, where light ends, and SDR's white is H
 (BT.2408).
 """
 
+import functools
 from typing import Any
 
 import cv2
@@ -26,18 +27,18 @@ _ROWS = 16
 def sdr_pixels(rgb: NDArray[np.uint16], transfer: int) -> NDArray[np.uint8]:
     """An image (H, W, 3) in sRGB of one in BT.2100's colours, 10 bits each. Up to 0.43 of the reference white colours
     stay as they are; brighter ones keep their hue."""
-    sdr = np.empty(rgb.shape, np.uint8)
+    sdr, light_of, (gain_of, srgb_of) = np.empty(rgb.shape, np.uint8), _light_of(transfer), _tone_tables()
     # Few rows at once stay in the processor's cache.
     for top in range(0, len(rgb), _ROWS):
-        light: Any = np.take(_LIGHT_OF[transfer], rgb[top : top + _ROWS], mode="clip")
+        light: Any = np.take(light_of, rgb[top : top + _ROWS], mode="clip")
         if transfer == HLG:
             # What is displayed grows faster than what was seen, by its luminance.
             shown = cv2.pow(cv2.transform(light, _LUMINANCE), _HLG_GAMMA - 1)
             light = cv2.multiply(light, cv2.merge([shown] * 3))
         light = np.maximum(cv2.transform(light, _BT2020_TO_BT709), 0)
         red, green, blue = cv2.split(light)
-        gain = np.take(_GAIN, _step(cv2.max(cv2.max(red, green), blue)))
-        sdr[top : top + _ROWS] = np.take(_SRGB, _step(cv2.multiply(light, cv2.merge([gain] * 3))))
+        gain = np.take(gain_of, _step(cv2.max(cv2.max(red, green), blue)))
+        sdr[top : top + _ROWS] = np.take(srgb_of, _step(cv2.multiply(light, cv2.merge([gain] * 3))))
     return sdr
 
 
@@ -73,12 +74,18 @@ def _tone_mapped(nits: Array) -> Array:
     return _pq_nits(np.where(code < knee, code, spline) * peak) / _WHITE_NITS
 
 
-_CODES = np.arange(1024) / 1023
-_LIGHT_OF = {
-    PQ: np.minimum(_pq_nits(_CODES) / _PEAK_NITS, 1).astype(np.float32),
-    HLG: _hlg_seen(_CODES).astype(np.float32),
-}
-_LIGHT = np.linspace(0, 1, _STEPS)[1:] ** 2
-_GAIN = np.append(_PEAK_NITS / _WHITE_NITS, _tone_mapped(_PEAK_NITS * _LIGHT) / _LIGHT).astype(np.float32)
-_SRGB = np.where(_LIGHT <= 0.0031308, 12.92 * _LIGHT, 1.055 * _LIGHT ** (1 / 2.4) - 0.055)
-_SRGB = np.append(0, np.round(255 * _SRGB)).astype(np.uint8)
+@functools.cache
+def _light_of(transfer: int) -> Any:
+    """Light of each code, 1 at the peak: of HLG as it was in front of the camera, of PQ as it is displayed."""
+    codes = np.arange(1024) / 1023
+    light = _hlg_seen(codes) if transfer == HLG else np.minimum(_pq_nits(codes) / _PEAK_NITS, 1)
+    return light.astype(np.float32)
+
+
+@functools.cache
+def _tone_tables() -> tuple[Any, Any]:
+    """By the steps of light (`_step`): what its brightest colour is multiplied by, and sRGB's code."""
+    light = np.linspace(0, 1, _STEPS)[1:] ** 2
+    gain = np.append(_PEAK_NITS / _WHITE_NITS, _tone_mapped(_PEAK_NITS * light) / light).astype(np.float32)
+    srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return gain, np.append(0, np.round(255 * srgb)).astype(np.uint8)

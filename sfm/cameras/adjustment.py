@@ -27,9 +27,9 @@ from groundwalk.geometry.rows import summed
 from groundwalk.geometry.shutter import readout_fraction
 from groundwalk.sfm.cameras.normal_equations import (
     MAX_FACTORED,
+    IterativeSolver,
     Solver,
     System,
-    Unfactored,
     block_rows,
     inverse_of,
     similarities,
@@ -53,7 +53,6 @@ _NOISE_FREEDOM, _MAX_NOISE_SIGMAS, _NOISE_STEPS = 4.0, 3.0, 5
 _MAX_DAMPINGS = 6
 _MIN_READOUT_S = 1e-6
 _MIN_COST_DECREASE = 1e-4  # relative change of the cost
-_TOLERANCE = 1e-3  # of products with the inverse of a large system
 # How long a focus stays as it is, and the share of its variance that is each frame's alone.
 _FOCUS_LAG_S, _FOCUS_NOISE = 5.0, 1e-3
 
@@ -467,8 +466,8 @@ def frame_variances(adjusted: Adjusted) -> tuple[Array, Array]:
 def _inverse(system: System) -> tuple[Array, Callable[[Array], Array]]:
     """The diagonal of a system's inverse, and what multiplies a vector by it."""
     if is_large(len(system.blocks)):
-        solver = Unfactored(system, system.diagonal(), 0.0)
-        return solver.variances(), lambda right: solver.solve(right, _TOLERANCE)[0]
+        solver = IterativeSolver(system, system.diagonal(), 0.0)
+        return solver.variances(), lambda right: solver.solve(right)[0]
     inverse = inverse_of(system.matrix())
     return np.diag(inverse), lambda right: inverse @ right
 

@@ -21,7 +21,8 @@ from groundwalk.geometry.rows import summed
 _TOLERANCE, _MAX_ITERATIONS = 1e-4, 40
 MAX_FACTORED = 25_000
 """Unknowns of a system whose factor, or inverse, is formed: 5 GB."""
-_UNFACTORED_TOLERANCE, _MAX_UNFACTORED_STEPS = 1e-2, 500
+# Where no factor is formed: the same for an adjustment's steps, for products with the inverse, and the iterations.
+_STEP_TOLERANCE, _PRODUCT_TOLERANCE, _MAX_UNFACTORED_ITERATIONS = 1e-2, 1e-3, 500
 _CLUSTER = 64  # frames, at most, of which one factor is formed
 _CHUNK = 64  # frames at once, for memory
 _ROWS = 1024  # of a matrix, likewise
@@ -60,7 +61,7 @@ class System:
 
     @cached_property
     def _of_points_by_number(self) -> tuple[csr_array, csr_array]:
-        """`of_points` and its transpose, whose products with many columns are twice as fast than those of blocks."""
+        """`of_points` and its transpose, whose products with many columns are twice as fast as those of blocks."""
         return csr_array(self.of_points), csr_array(self.of_points.T)
 
     def times(self, x: Array) -> Array:
@@ -137,8 +138,8 @@ class Solver:
 
     They differ little, so the factor of one preconditions the next ones' conjugate gradients: a factor takes some
     (l N)^3 operations, a product as many as there are observations. Where conjugate gradients take too many products,
-    the system at hand is factorised. One of more than MAX_FACTORED unknowns never is (`Unfactored`), and a step may
-    stay unfinished.
+    the system at hand is factorised. One of more than MAX_FACTORED unknowns never is (`IterativeSolver`), and a step
+    may stay unfinished.
     """
 
     def __init__(self) -> None:
@@ -150,7 +151,7 @@ class Solver:
         shape = (len(right), len(right))
         scaled = LinearOperator(shape, lambda x: unit * system.times(unit * x) + damping * x, dtype=float)
         if len(right) > MAX_FACTORED:
-            return Unfactored(system, diagonal, damping).solve(right, _UNFACTORED_TOLERANCE)[0]
+            return IterativeSolver(system, diagonal, damping).solve(right, _STEP_TOLERANCE)[0]
         if self._factor is not None:
             factor = self._factor
             precondition = LinearOperator(shape, lambda x: cho_solve(factor, x / unit) / unit, dtype=float)
@@ -164,7 +165,7 @@ class Solver:
         return np.asarray(cho_solve(self._factor, right))
 
 
-class Unfactored:
+class IterativeSolver:
     """Solves (matrix + damping * its diagonal) x = right without forming the matrix.
 
     Conjugate gradients, preconditioned on two levels: clusters of neighbouring frames by their factors, and how the
@@ -192,27 +193,27 @@ class Unfactored:
         for k, (index, motions) in enumerate(zip(self._index, self._motions, strict=True)):
             moved = np.zeros((total, 7))
             moved[index] = motions
-            coarse[:, 7 * k : 7 * k + 7] = self._gathered(self._times(moved))
-        coarse[:, 7 * len(clusters) :] = self._gathered(self._times(np.eye(total, total - size, -size)))
+            coarse[:, 7 * k : 7 * k + 7] = self._restricted(self._times(moved))
+        coarse[:, 7 * len(clusters) :] = self._restricted(self._times(np.eye(total, total - size, -size)))
         self._coarse = pinvh(coarse)
 
-    def solve(self, right: Array, tolerance: float) -> tuple[Array, bool]:
-        """x (l N + G,) or (l N + G, k), and whether it came to the tolerance within as many steps as are taken at most:
-        the residual, in units of each unknown's own information, over that of `right`."""
-        left, x = right.reshape(len(right), -1).copy(), np.zeros((len(right), right.size // len(right)))
-        small = tolerance * self._norm(left)
-        near = self._nearly(left)
-        way, gained = near.copy(), np.sum(left * near, axis=0)
-        for _ in range(_MAX_UNFACTORED_STEPS):
-            if (self._norm(left) <= small).all():
+    def solve(self, right: Array, tolerance: float = _PRODUCT_TOLERANCE) -> tuple[Array, bool]:
+        """x (l N + G,) or (l N + G, k), and whether it came to the tolerance within as many iterations as are taken at
+        most: the residual, in units of each unknown's own information, over that of `right`."""
+        residual, x = right.reshape(len(right), -1).copy(), np.zeros((len(right), right.size // len(right)))
+        limit = tolerance * self._norm(residual)
+        preconditioned = self._precondition(residual)
+        direction, product = preconditioned.copy(), np.sum(residual * preconditioned, axis=0)
+        for _ in range(_MAX_UNFACTORED_ITERATIONS):
+            if (self._norm(residual) <= limit).all():
                 return x.reshape(right.shape), True
-            product = self._times(way)
-            length = gained / np.maximum(np.sum(way * product, axis=0), np.finfo(float).tiny)
-            x += length * way
-            left -= length * product
-            near = self._nearly(left)
-            before, gained = gained, np.sum(left * near, axis=0)
-            way = near + gained / np.maximum(before, np.finfo(float).tiny) * way
+            pulled = self._times(direction)
+            length = product / np.maximum(np.sum(direction * pulled, axis=0), np.finfo(float).tiny)
+            x += length * direction
+            residual -= length * pulled
+            preconditioned = self._precondition(residual)
+            before, product = product, np.sum(residual * preconditioned, axis=0)
+            direction = preconditioned + product / np.maximum(before, np.finfo(float).tiny) * direction
         return x.reshape(right.shape), False
 
     def variances(self) -> Array:
@@ -223,19 +224,19 @@ class Unfactored:
             found[index] = np.maximum(found[index], np.diag(cho_solve(factor, np.eye(len(index)))))
         return found
 
-    def _norm(self, left: Array) -> Array:
-        return np.asarray(np.linalg.norm(self._unit[:, None] * left, axis=0))
+    def _norm(self, residual: Array) -> Array:
+        return np.asarray(np.linalg.norm(self._unit[:, None] * residual, axis=0))
 
     def _times(self, x: Array) -> Array:
         return self._system.times(x) + self._damped[:, None] * x
 
-    def _gathered(self, x: Array) -> Array:
-        """What is left of columns (l N + G, k) on the second level."""
+    def _restricted(self, x: Array) -> Array:
+        """Columns (l N + G, k) on the second level."""
         by_cluster = [motions.T @ x[index] for index, motions in zip(self._index, self._motions, strict=True)]
         return np.concatenate([*by_cluster, x[self._system.size :]])
 
-    def _nearly(self, right: Array) -> Array:
-        x, coarse = np.zeros(right.shape), self._coarse @ self._gathered(right)
+    def _precondition(self, right: Array) -> Array:
+        x, coarse = np.zeros(right.shape), self._coarse @ self._restricted(right)
         for k, (index, factor, motions) in enumerate(zip(self._index, self._factors, self._motions, strict=True)):
             x[index] += cho_solve(factor, right[index]) + motions @ coarse[7 * k : 7 * k + 7]
         x[self._system.size :] = coarse[7 * len(self._index) :]

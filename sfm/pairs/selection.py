@@ -21,7 +21,7 @@ Proposals = list[tuple[PairOrigin, Pairs]]
 _MAX_ANGLE_DEG = 60.0
 # Frames later in a recording that one is matched to, too: where frames are dense, the next few see it from nearly the
 # same place, and baselines stay short (docs/explanation/decisions.md).
-_FARTHER = (8, 16, 32)
+_FARTHER_STEPS = (8, 16, 32)
 # Of as many frames without VIO all pairs are matched, some 20,000.
 _MAX_EXHAUSTIVE = 200
 
@@ -32,7 +32,7 @@ def pairs_within_sessions(settings: SfmSettings, frames: pd.DataFrame, vio: Odom
     density = len(frames) / max(int((~frames["support"]).sum()), 1)
     timed = np.flatnonzero(have_times(frames))
     recordings, t_ns = vio.recording[timed], vio.t_ns[timed]
-    steps = {*range(1, round(density * settings.sequence_pairs) + 1), *_FARTHER}
+    steps = {*range(1, round(density * settings.sequence_pairs) + 1), *_FARTHER_STEPS}
     following = timed[candidates.sequence_pairs(recordings, t_ns, sorted(steps))]
     # The next frame is always tried: that is what ties a recording together where VIO jumped.
     next_frame = timed[candidates.sequence_pairs(recordings, t_ns, [1])]

@@ -31,7 +31,7 @@ from groundwalk.sfm.cameras.adjustment import (
     regular_system,
     shared_columns,
 )
-from groundwalk.sfm.cameras.normal_equations import System, Unfactored, block_rows, inverse_of, similarities
+from groundwalk.sfm.cameras.normal_equations import IterativeSolver, System, block_rows, inverse_of, similarities
 from groundwalk.store.progress import track
 
 # Features of one keypoint have its place to the bit; a hundredth allows for rounding.
@@ -44,8 +44,8 @@ SHARED_ERRORS = 1.7
 # Parts of the image in which errors of the cameras' model are alike.
 _BANDS, _COLUMNS = 6, 8
 _CHUNK = 64  # frames at once, for memory
-# Samples of large models' errors, by which their standard deviations are known to 9 %, and to what each is solved.
-_SAMPLES, _AT_ONCE, _TOLERANCE = 60, 20, 1e-3
+# Samples of large models' errors, by which their standard deviations are known to 9 %, and those at once, for memory.
+_SAMPLES, _AT_ONCE = 60, 20
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
     What the frames share is also as uncertain as principal points make it (`_of_centres`).
 
     Where frames and points are held, what comes out is how certain the others are if these are right.
-    Of large models poses' covariances are those of a sample of errors (`_sampled`).
+    Of large models poses' covariances are those of a sample of errors (`_sampled_covariances`).
     """
     bundle, cameras = adjusted.bundle, adjusted.cameras
     frames, points = len(bundle.sfm_T_cam), len(bundle.xyz)
@@ -104,7 +104,7 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
         gauge, h = np.zeros_like(gauge), np.zeros_like(h)
     try:
         if is_large(frames):
-            of_shared, poses = _sampled(adjusted, system, by_keypoint, variance * information, gauge, h)
+            of_shared, poses = _sampled_covariances(adjusted, system, by_keypoint, variance * information, gauge, h)
         else:
             inverse = inverse_of(system.matrix())
             of_shared = inverse[10 * frames :]
@@ -119,23 +119,23 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
     return Covariances(SHARED_ERRORS * by_rows * poses, shared, by_rows, by_region)
 
 
-def _sampled(
+def _sampled_covariances(
     adjusted: Adjusted, system: System, by_keypoint: csr_array, information: csr_array, gauge: Array, h: Array
 ) -> tuple[Array, Array]:
     """Rows of the inverse (G, 10 N + G) of the unknowns that frames share, and the poses' covariances (N, 6, 6) as
     those of a sample of errors: keypoints and priors pull with random signs and sizes, and the poses give way."""
     rng, size, total = np.random.default_rng(0), system.size, len(system.gradient)
-    solver = Unfactored(system, system.diagonal(), 0.0)
+    solver = IterativeSolver(system, system.diagonal(), 0.0)
     index, parts = local_unknowns(len(gauge) // 6)[:, :6].ravel(), []
-    of_shared, is_done = solver.solve(np.eye(total, total - size, -size), _TOLERANCE)
+    of_shared, is_done = solver.solve(np.eye(total, total - size, -size))
     for _ in track(range(_SAMPLES // _AT_ONCE), "sampling uncertainties"):
         drawn = np.array([prior_draw(adjusted.cameras, adjusted.priors, rng) for _ in range(_AT_ONCE)])
         pulls = by_keypoint @ rng.standard_normal((by_keypoint.shape[1], _AT_ONCE)) + information @ drawn.T
-        moved, is_part_done = solver.solve(pulls, _TOLERANCE)
+        moved, is_part_done = solver.solve(pulls)
         is_done &= is_part_done
         parts.append(moved[index])
     if not is_done:
-        raise LinAlgError("conjugate gradients take too many steps")
+        raise LinAlgError("conjugate gradients take too many iterations")
     moved = np.hstack(parts)
     moved = (moved - gauge @ (h @ moved)).reshape(-1, 6, _SAMPLES)
     # So few samples may have missed where errors are large: so much larger, squared errors over them are as expected
