@@ -26,6 +26,7 @@ _STEP_TOLERANCE, _PRODUCT_TOLERANCE, _MAX_UNFACTORED_ITERATIONS = 1e-2, 1e-3, 50
 _CLUSTER = 64  # frames, at most, of which one factor is formed
 _CHUNK = 64  # frames at once, for memory
 _ROWS = 1024  # of a matrix, likewise
+_FEW_COLUMNS = 8  # up to so many, products of blocks are as fast as those of single numbers
 
 
 @dataclass(frozen=True)
@@ -60,16 +61,18 @@ class System:
         return self.of_points.T
 
     @cached_property
-    def _of_points_by_number(self) -> tuple[csr_array, csr_array]:
-        """`of_points` and its transpose, whose products with many columns are twice as fast as those of blocks."""
-        return csr_array(self.of_points), csr_array(self.of_points.T)
+    def _of_points_by_number(self) -> csr_array:
+        """`of_points`, for products with many columns."""
+        return csr_array(self.of_points)
 
     def times(self, x: Array) -> Array:
         """The product of the matrix, which needn't be formed, with a vector (l N + G,) or with columns (l N + G, k)."""
         columns = x.reshape(len(x), -1)
-        of_points, of_points_T = self.of_points, self._of_points_T
-        if columns.shape[1] > 1:
-            of_points, of_points_T = self._of_points_by_number
+        if columns.shape[1] > _FEW_COLUMNS:
+            of_points: bsr_array | csr_array = self._of_points_by_number
+            of_points_T = of_points.T
+        else:
+            of_points, of_points_T = self.of_points, self._of_points_T
         frames_x, shared = columns[: self.size], columns[self.size :]
         frames = len(self.blocks)
         local = self.size // frames
