@@ -82,12 +82,15 @@ def test_a_room_of_two_walks_becomes_one_right_model(room: Room) -> None:
     assert not (folder / "scratch").exists()
 
 
-def _as_photos(room: Room) -> None:
-    """Make import's tables those of photos without VIO, times or an order of names."""
+def _as_photos(room: Room, exif: float | None = None) -> None:
+    """Make import's tables those of photos without VIO, times or an order of names; `exif`: their EXIF states focal
+    lengths, as many times the right ones."""
     folder = room.data.run("tiny", "room", "import")
     frames = read_table(folder / "frames.parquet", schema("import", "frames"))
     order = np.random.default_rng(0).permutation(len(frames))
     frames = frames.assign(clock=Clock.NAME_ORDER, t_ns=order * 1_000_000_000)
+    if exif is not None:
+        frames = frames.assign(fx=exif * frames["fx"], fy=exif * frames["fy"], focal_sd=0.05)
     for column in frames.columns:
         if column.startswith(("vio_cam_", "gravity_")):
             frames[column] = np.nan
@@ -97,9 +100,13 @@ def _as_photos(room: Room) -> None:
     room.note_images()
 
 
-def test_photos_without_vio_and_times_become_one_right_model(room: Room) -> None:
-    _as_photos(room)
+@pytest.mark.parametrize("exif", [None, 1.0, 1.5])
+def test_photos_without_vio_and_times_become_one_right_model(
+    exif: float | None, room: Room, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _as_photos(room, exif)
     folder = _run(room)
+    assert ("EXIF states a focal length" in capsys.readouterr().err) == (exif == 1.5)
     pairs = pd.read_parquet(folder / "pairs.parquet")
     assert set(pairs["origin"]) == {"exhaustive"} and len(pairs) == 14 * 13 / 2
     images = pd.read_parquet(folder / "images.parquet")
