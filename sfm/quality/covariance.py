@@ -165,10 +165,14 @@ def _of_centres(adjusted: Adjusted, linear: Linearization, weight_M: Array, poin
     i = bundle.frame
     at = (bundle.observed_px - cameras.intrinsics[i, 2:]) / cameras.focal[i]
     pulls = []
+    # The sensor's axes, which lie otherwise in images that were turned.
+    down = np.sign(cameras.readout_line[i, :2])
+    right = np.column_stack([down[:, 1], -down[:, 0]])
     for lens, sd_px in enumerate(adjusted.priors.centre_sd_px):
         size_M = np.where(cameras.lens[i] == lens, sd_px, 0.0) / adjusted.noise_M
-        for axis in (0, 1):
-            force = _forces(linear, weight_M, (size_M * at[:, axis])[:, None] * at, bundle.point, point_inverse)
+        for axis in (right, down):
+            off = size_M * np.sum(at * axis, axis=1)
+            force = _forces(linear, weight_M, off[:, None] * at, bundle.point, point_inverse)
             pulls.append(_rows_of_unknowns(force, adjusted, np.zeros_like(i), 1).toarray())
     return np.hstack(pulls)
 
