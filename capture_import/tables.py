@@ -13,7 +13,7 @@ from groundwalk.capture_import.sampling import Selection
 from groundwalk.capture_import.sessions import duration, path_length
 from groundwalk.geometry.gravity import gravity_in_camera
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.shutter import usual_first_row
+from groundwalk.geometry.shutter import turned_side, usual_first_row
 from groundwalk.store import UserError
 from groundwalk.store.choices import ImageSide, LengthUnit, Rejected, SessionSplit, Split, UpAxis
 from groundwalk.store.tables import dataset_frames, pose_frame
@@ -38,6 +38,7 @@ def frames_table(
     rows = []
     for image, support, place, depth in zip(used.images, used.support, places, depths, strict=True):
         camera, check = image.camera, image.check
+        stored = (check.height, check.width) if image.quarters % 2 else (check.width, check.height)
         rows.append(
             {
                 "frame_id": session.frame_id(image.number),
@@ -56,7 +57,7 @@ def frames_table(
                 "cy": camera.cy,
                 "distortion": list(camera.distortion),
                 "focal_sd": camera.focal_sd,
-                "first_row": ImageSide(stated or usual_first_row(check.width, check.height)),
+                "first_row": ImageSide(turned_side(stated or usual_first_row(*stored), image.quarters)),
                 "stated_readout_s": math.nan if raw.readout_s is None else raw.readout_s,
                 "tracking": image.tracking,
                 "sharpness": check.sharpness,
