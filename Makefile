@@ -129,6 +129,9 @@ bench-recovery: $(installed) #! How fusion methods bear what goes wrong in a wal
 bench-scale: $(installed) #! Import, sfm and align of one place with 500 to 2,500 frames (docs/results); hours
 	@$(py) -m benchmarks.scale
 
+bench-campaign: $(installed) #! A campaign with jobs and Snakemake killed; planning of many scenes (docs/results); hours
+	@$(py) -m benchmarks.campaign
+
 bench-steps: $(installed) #! What a step of drift_aware costs over a walk of half an hour (docs/results)
 	@$(py) -m benchmarks.fusion_steps
 
@@ -173,4 +176,4 @@ help-dev: #! This text
 	@grep -hE '^[a-z-]+:.*#! ' $(MAKEFILE_LIST) | sed 's/:.*#! /\t/' | expand -t 22 | sed 's/^/  /'
 
 .NOTPARALLEL:
-.PHONY: all judge $(stages) simulate install paper public view clean check lint types test test-slow test-faults audit bench-localise bench-phone bench-regressors bench-recovery bench-scale bench-steps bench-gates bench-real bench-cameras bench-blurring docs docs-site pictures test-page lock help help-dev
+.PHONY: all judge $(stages) simulate install paper public view clean check lint types test test-slow test-faults audit bench-localise bench-phone bench-regressors bench-recovery bench-scale bench-campaign bench-steps bench-gates bench-real bench-cameras bench-blurring docs docs-site pictures test-page lock help help-dev

@@ -50,7 +50,7 @@ from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.sfm.definition import STAGE as SFM
 from groundwalk.store import DataRoot, Stage, UserError, execute
 from groundwalk.store.checkout import git_revision
-from groundwalk.store.choices import FailureCause
+from groundwalk.store.choices import FailureCause, Rejected
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
@@ -166,6 +166,8 @@ def _named_fault(data: DataRoot, scene: str, case: Case) -> tuple[str, str, str]
             return _named(text), stage.name, text
         if stage is IMPORT:
             rejects = read_table(data.run(PROFILE, scene, "import") / "rejects.parquet", schema("import", "rejects"))
+            for reason in rejects.loc[rejects["rejected"] == Rejected.RECORDING, "reason"]:
+                return _named(reason), stage.name, reason
             backward = int(rejects["reason"].str.contains(_BACKWARD).sum())
             if backward:
                 return FailureCause.MISMATCHED_IMAGES, stage.name, f"{backward} rows: {_BACKWARD}"

@@ -54,6 +54,11 @@ def _exponent(rows: pd.DataFrame, column: str) -> str:
     return f"{np.log(last[column] / first[column]) / np.log(last['frames'] / first['frames']):.2f}"
 
 
+def _percent(share: float | None) -> str:
+    """Empty where the model has no covariances."""
+    return "" if share is None or np.isnan(share) else f"{share:.0f} %"
+
+
 def _table(rows: pd.DataFrame) -> Iterable[list[str]]:
     yield [
         *("frames", "with ground truth", "A, B, C", "models", "position cm: median, p95", "rotation deg"),
@@ -67,7 +72,7 @@ def _table(rows: pd.DataFrame) -> Iterable[list[str]]:
             str(row["models"]),
             f"{row['position error, median']:.2f}, {row['position error, 95th percentile']:.2f}",
             f"{row['rotation error, median']:.3f}",
-            f"{row['position within 95 % bounds, whole']:.0f} %",
+            _percent(row.get("position within 95 % bounds, whole")),
             *(f"{row[f'{s} s']:.0f} ({row[f'{s} cpu s']:.0f}), {row[f'{s} MiB']:.0f}" for s in _MODULES),
             f"{row['load']:.1f}",
         ]

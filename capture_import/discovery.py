@@ -16,6 +16,7 @@ from groundwalk.capture_import.media.archive import SUFFIXES, unpack
 from groundwalk.capture_import.refusal import are_images_alone, no_capture
 from groundwalk.store import UserError, progress
 from groundwalk.store.choices import PoseSource, Rejected
+from groundwalk.store.errors import MachineError
 from groundwalk.store.hints import setting_of
 from groundwalk.store.registry import PluginError
 from groundwalk.store.text import name_list, natural_order
@@ -169,7 +170,12 @@ class _Search:
             # Of its path alone, so that no two archives share a folder, and a killed run finds it again.
             digest = hashlib.sha256(os.fsencode(path.relative_to(self.root))).hexdigest()
             target = self.unpacked.resolve() / digest[:32]
-            unpack(path, target, self.limits)
+            try:
+                unpack(path, target, self.limits)
+            except MachineError:
+                raise
+            except UserError as error:
+                return [RecordingSource(path, _broken_archive(error), parts)]
             return replace(self, root=target, in_archive=True).run(target, parts, depth + 1)
         before, hits = len(self.unread), []
         if path.is_dir() and depth < _MAX_DEPTH:
@@ -191,6 +197,15 @@ class _Search:
             self.failed.add(format.id)
             progress.console.print(f"warning: {error}")
             return False
+
+
+def _broken_archive(error: UserError) -> Format:
+    """The format of a recording in an archive that can't be unpacked: reading it says why."""
+
+    def read(path: Path, limits: Limits) -> Recording:
+        raise error
+
+    return Format(id="archive", label="archive", meaning="", files=(), read=read)
 
 
 def _refuse_link_out(root: Path, path: Path) -> None:

@@ -1,9 +1,12 @@
 """A capture that recordings were added to or taken out of, against what an earlier run of import made of it."""
 
+from collections.abc import Mapping
+
 import pandas as pd
 
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.store import StageRun, UserError
+from groundwalk.store.choices import Rejected
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import read_table
 
@@ -11,13 +14,16 @@ _SAME_FRAMES = 0.5  # of a recording's, those that another one has, too: then th
 _VIO = ["t_ns", "vio_cam_tx", "vio_cam_ty", "vio_cam_tz"]
 
 
-def held_frames(r: StageRun[ImportSettings], frames: pd.DataFrame) -> pd.DataFrame:
+def held_frames(r: StageRun[ImportSettings], frames: pd.DataFrame, left_out: Mapping[str, UserError]) -> pd.DataFrame:
     """The frames table with the splits that recordings had; new ones have what the rules say.
 
-    UserError where nothing is new or gone, where a recording that was there is imported otherwise now, and where a new
-    one is one that is there, by its images or its VIO.
+    UserError where one that is `left_out` is new, where nothing is new or gone, where a recording that was there is
+    imported otherwise now, and where a new one is one that is there, by its images or its VIO.
     """
     assert r.before is not None
+    rejects = read_table(r.before / "rejects.parquet", schema("import", "rejects"))
+    if new := left_out.keys() - set(rejects.loc[rejects["rejected"] == Rejected.RECORDING, "session_id"]):
+        raise left_out[min(new)]
     before = read_table(r.before / "frames.parquet", schema("import", "frames"))
     sessions, known = set(frames["session_id"]), set(before["session_id"])
     if sessions == known:

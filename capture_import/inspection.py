@@ -24,8 +24,11 @@ from groundwalk.capture_import.origin import describe_origin, far_origin
 from groundwalk.capture_import.sampling import select, select_enough
 from groundwalk.capture_import.sessions import duration, path_length, sound_sessions
 from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.store import UserError
 from groundwalk.store.choices import PoseSource
+from groundwalk.store.errors import MachineError
 from groundwalk.store.progress import track
+from groundwalk.store.registry import PluginError
 from groundwalk.store.text import grouped_reasons, printable
 
 Look = Callable[[list[Session], bool, ImageReader], None]
@@ -38,20 +41,33 @@ def inspect_capture(
     are added to `unusable`. `look` is called with the sessions of each, whether +y is up in them, and what reads their
     images, while these are there: archives are unpacked for as long as this runs.
 
-    Raises UserError where there is no capture in a known format.
+    Raises UserError where there is no capture in a known format, or none of its recordings can be read.
     """
     settings = ImportSettings()
     root = path.resolve()
-    sessions: list[Session] = []
+    sessions, errors = list[Session](), list[UserError]()
     with tempfile.TemporaryDirectory() as unpacked:
         reader = ImageReader([root if root.is_dir() else root.parent, Path(unpacked).resolve()], settings.limits)
-        for source in find_recordings(path, Path(unpacked), settings.limits, format_name):
-            of_recording, is_usable, is_aligned = yield from _inspect(source, reader, settings)
+        sources = find_recordings(path, Path(unpacked), settings.limits, format_name)
+        for source in sources:
+            try:
+                of_recording, is_usable, is_aligned = yield from _inspect(source, reader, settings)
+            except (PluginError, MachineError):
+                raise
+            except UserError as error:
+                if len(sources) == 1:
+                    raise
+                errors.append(error)
+                yield f"{source.recording_id} · {source.format.label}"
+                yield f"  status     unusable: {error.line}"
+                of_recording, is_usable, is_aligned = [], False, False
             sessions += of_recording
-            if look is not None:
+            if look is not None and of_recording:
                 look(of_recording, is_aligned, reader)
             if not is_usable and unusable is not None:
                 unusable.append(source.recording_id)
+    if errors and not sessions:
+        raise errors[0]
     _, denser = select_enough(sessions, settings)
     if denser is not None:
         yield f"all recordings: {denser}"

@@ -31,9 +31,11 @@ from groundwalk.capture_import.sessions import sound_sessions, with_numbered_cam
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.splits import LEAK_S, SplitResult, nearest_split, refuse_lists, split_frames
 from groundwalk.store import StageRun, UserError
+from groundwalk.store.errors import MachineError
 from groundwalk.store.files import write_json
 from groundwalk.store.hints import groundwalk_command, setting_of
 from groundwalk.store.images import image_file
+from groundwalk.store.registry import PluginError
 from groundwalk.store.simulated import are_simulated
 from groundwalk.store.tables import dataset_frames, have_times
 from groundwalk.store.text import grouped_reasons, name_list, printable
@@ -53,18 +55,9 @@ def run(r: StageRun[ImportSettings]) -> None:
         sources = find_recordings(root, unpacked, settings.limits, settings.format)
         refuse_lists(r.scene.split, [source.recording_id for source in sources])
         r.simulated |= are_simulated(path for path in unpacked.rglob("*") if path.is_file())
-        of_recording = [_read_sessions(r, source, reader) for source in sources]
-    with r.step("gravity"):
-        for i, sessions in enumerate(of_recording):
-            check = check_gravity(sessions, reader)
-            if check.line:
-                line = f"{sessions[0].recording.recording_id}: gravity {check.line}"
-                r.say(line if check.is_aligned else f"warning: {line}; {STATE_GRAVITY}")
-            of_recording[i] = with_gravity(sessions, check)
+    of_recording, errors = _read_recordings(r, sources, reader)
+    refuse_lists(r.scene.split, [sessions[0].recording.recording_id for sessions in of_recording])
     of_recording = with_numbered_cameras(of_recording)
-    if settings.check_convention:
-        with r.step("poses against images"):
-            _check_poses(r, of_recording, reader)
     sessions = [session for of_one in of_recording for session in of_one]
     _refuse_unusable(sessions, root)
 
@@ -99,7 +92,7 @@ def run(r: StageRun[ImportSettings]) -> None:
         frames["split"] = nearest_split(frames, dataset.assign(split=split.of_frame))
         frames = frames[frames["split"] != "unused"].reset_index(drop=True)
         if r.before is not None:
-            frames = held_frames(r, frames)
+            frames = held_frames(r, frames, errors)
         frames_of = {s.session_id: frames[frames["session_id"] == s.session_id] for s in sessions}
         session_rows = tables.sessions_table(
             sessions, frames_of, origin, reference_is_metric=settings.reference_is_metric
@@ -107,7 +100,7 @@ def run(r: StageRun[ImportSettings]) -> None:
         sessions = _keep_gps(r, sessions)
         r.write("frames", frames.drop(columns=["recording", "stated_split", "content_sha256"]))
         r.write("sessions", session_rows)
-        r.write("rejects", tables.rejects_table(sessions))
+        r.write("rejects", tables.rejects_table(sessions, errors))
         r.write("jumps", tables.jumps_table(sessions))
         references = [tables.reference_table(session, frames_of[session.session_id]) for session in sessions]
         r.write("reference", pd.concat(references, ignore_index=True))
@@ -120,6 +113,43 @@ def run(r: StageRun[ImportSettings]) -> None:
     with r.step("recording"), r.recording(blueprint([session.session_id for session in sessions])) as stream:
         for session in r.track(sessions, "writing the recording"):
             log_session(stream, session, frames_of[session.session_id], lambda image: image_file(image, root, r.work))
+
+
+def _read_recordings(
+    r: StageRun[ImportSettings], sources: Sequence[RecordingSource], reader: ImageReader
+) -> tuple[list[list[Session]], dict[str, UserError]]:
+    """The sessions of each recording, and why others are left out, by their ids. UserError where all are."""
+    of_recording, errors = list[list[Session]](), dict[str, UserError]()
+    fits, offsets = list[float](), list[float]()
+    for source in sources:
+        try:
+            with r.step("images"):
+                sessions = _read_sessions(r, source, reader)
+            with r.step("gravity"):
+                check = check_gravity(sessions, reader)
+                if check.line:
+                    line = f"{source.recording_id}: gravity {check.line}"
+                    r.say(line if check.is_aligned else f"warning: {line}; {STATE_GRAVITY}")
+                sessions = with_gravity(sessions, check)
+            if r.settings.check_convention:
+                with r.step("poses against images"):
+                    fit, offset_s = _check_poses(r, sessions, reader)
+                fits += [] if fit is None else [fit]
+                offsets += [] if offset_s is None else [offset_s]
+        except (PluginError, MachineError):
+            raise
+        except UserError as error:
+            errors[source.recording_id] = error
+        else:
+            of_recording.append(sessions)
+    if not of_recording:
+        raise next(iter(errors.values()))
+    for recording_id, why in errors.items():
+        r.say(f"warning: {recording_id} is left out: {why.line}")
+    r.figure("recordings_left_out", len(errors))
+    r.figure("convention_fit_lowest", min(fits, default=None))
+    r.figure("clock_offset_s", max(offsets, key=abs, default=None))
+    return of_recording, errors
 
 
 def _read_sessions(r: StageRun[ImportSettings], source: RecordingSource, reader: ImageReader) -> list[Session]:
@@ -155,38 +185,37 @@ def _read_sessions(r: StageRun[ImportSettings], source: RecordingSource, reader:
     return sessions
 
 
-def _check_poses(r: StageRun[ImportSettings], of_recording: Sequence[list[Session]], reader: ImageReader) -> None:
-    """Compare each recording's longest session with its images: poses, intrinsics and clock.
+def _check_poses(
+    r: StageRun[ImportSettings], sessions: Sequence[Session], reader: ImageReader
+) -> tuple[float | None, float | None]:
+    """Compare a recording's longest session with its images: poses, intrinsics and clock. The share of matched points
+    that fit, and the offset of the clock in seconds, of which a large one is a warning; None for what can't be told.
 
-    UserError where another convention fits; an offset of the clock is a warning.
+    UserError where another convention fits.
     """
-    fits, offsets = [], []
-    for session in (max(sessions, key=lambda session: len(session.images)) for sessions in of_recording):
-        check = check_convention(session, reader)
-        if check.contradicted:
-            raise UserError(
-                "the poses don't fit the images as their format declares them",
-                where=session.recording.folder,
-                expected=f"most matched points to fit ({check.declared:.0%} do in {check.pairs} pairs of images)",
-                found=f"{check.other_explained:.0%} fit where {check.contradicted}",
-                do="check which app and version wrote the capture; or skip this check: "
-                f"{setting_of('import', 'check_convention = false')}",
-            )
-        fits += [check.declared] if check.pairs else []
-        if check.pairs and check.declared < MIN_EXPLAINED:
-            r.say(
-                f"warning: {session.session_id}: only {check.declared:.0%} of matched points fit the poses, and no "
-                "other convention fits better"
-            )
-        clock = check_clock(session, reader)
-        offsets += [clock.offset_s] if clock.offset_s is not None else []
-        if clock.offset_s is not None and abs(clock.offset_s) > MAX_OFFSET_S:
-            r.say(
-                f"warning: {session.session_id}: images fit the poses {clock.offset_s:+.3f} s from their stated "
-                f"times (correlation {clock.correlation:.2f})"
-            )
-    r.figure("convention_fit_lowest", min(fits, default=None))
-    r.figure("clock_offset_s", max(offsets, key=abs, default=None))
+    session = max(sessions, key=lambda session: len(session.images))
+    check = check_convention(session, reader)
+    if check.contradicted:
+        raise UserError(
+            "the poses don't fit the images as their format declares them",
+            where=session.recording.folder,
+            expected=f"most matched points to fit ({check.declared:.0%} do in {check.pairs} pairs of images)",
+            found=f"{check.other_explained:.0%} fit where {check.contradicted}",
+            do="check which app and version wrote the capture; or skip this check: "
+            f"{setting_of('import', 'check_convention = false')}",
+        )
+    if check.pairs and check.declared < MIN_EXPLAINED:
+        r.say(
+            f"warning: {session.session_id}: only {check.declared:.0%} of matched points fit the poses, and no "
+            "other convention fits better"
+        )
+    clock = check_clock(session, reader)
+    if clock.offset_s is not None and abs(clock.offset_s) > MAX_OFFSET_S:
+        r.say(
+            f"warning: {session.session_id}: images fit the poses {clock.offset_s:+.3f} s from their stated "
+            f"times (correlation {clock.correlation:.2f})"
+        )
+    return (check.declared if check.pairs else None), clock.offset_s
 
 
 def _keep_gps(r: StageRun[ImportSettings], sessions: Sequence[Session]) -> list[Session]:

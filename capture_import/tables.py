@@ -7,14 +7,15 @@ from dataclasses import asdict, fields
 import numpy as np
 import pandas as pd
 
-from groundwalk.capture_import.capture import GpsFix, Session, poses_of
+from groundwalk.capture_import.capture import GpsFix, Reject, Session, poses_of
 from groundwalk.capture_import.media.placing import Placed
 from groundwalk.capture_import.sampling import Selection
 from groundwalk.capture_import.sessions import duration, path_length
 from groundwalk.geometry.gravity import gravity_in_camera
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.shutter import usual_first_row
-from groundwalk.store.choices import ImageSide, LengthUnit, SessionSplit, Split, UpAxis
+from groundwalk.geometry.shutter import turned_side, usual_first_row
+from groundwalk.store import UserError
+from groundwalk.store.choices import ImageSide, LengthUnit, Rejected, SessionSplit, Split, UpAxis
 from groundwalk.store.tables import dataset_frames, pose_frame
 from groundwalk.store.text import printable
 
@@ -37,6 +38,7 @@ def frames_table(
     rows = []
     for image, support, place, depth in zip(used.images, used.support, places, depths, strict=True):
         camera, check = image.camera, image.check
+        stored = (check.height, check.width) if image.quarters % 2 else (check.width, check.height)
         rows.append(
             {
                 "frame_id": session.frame_id(image.number),
@@ -55,7 +57,7 @@ def frames_table(
                 "cy": camera.cy,
                 "distortion": list(camera.distortion),
                 "focal_sd": camera.focal_sd,
-                "first_row": ImageSide(stated or usual_first_row(check.width, check.height)),
+                "first_row": ImageSide(turned_side(stated or usual_first_row(*stored), image.quarters)),
                 "stated_readout_s": math.nan if raw.readout_s is None else raw.readout_s,
                 "tracking": image.tracking,
                 "sharpness": check.sharpness,
@@ -123,9 +125,11 @@ def sessions_table(
     return pd.DataFrame(rows)
 
 
-def rejects_table(sessions: Sequence[Session]) -> pd.DataFrame:
-    """Rows of `rejects`; what isn't printable in names is escaped."""
+def rejects_table(sessions: Sequence[Session], left_out: Mapping[str, UserError]) -> pd.DataFrame:
+    """Rows of `rejects`, with one for each recording that is left out as a whole; what isn't printable in names is
+    escaped."""
     rejects = [(session.session_id, reject) for session in sessions for reject in session.rejects]
+    rejects += [(name, Reject(name, None, error.line, Rejected.RECORDING)) for name, error in left_out.items()]
     return pd.DataFrame(
         {
             "session_id": [session_id for session_id, _ in rejects],

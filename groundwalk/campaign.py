@@ -37,6 +37,8 @@ _COLUMNS = ("scene", "captures", "profile", "until")
 _ATTEMPTS = 3  # each with so many times the memory and time of the first
 # Where no finished run says what a stage takes; of one that does, so many times as much.
 _DEFAULT_MIB, _DEFAULT_MINUTES, _MARGIN = 4096, 60, 1.5
+# Another node, or more memory, may do: words of errors that a stage ends with as it does with refusals.
+_MACHINES = "no space left|quota exceeded|memory is used up|allocate memory|input/output error|stale file handle"
 _SEVERAL_CORES = {"sfm", "localise", "train"}
 _MAX_CORES = 8
 
@@ -156,9 +158,10 @@ def write_workflow(folder: Path, jobs: list[Job], problems: dict[str, str], data
             flag.unlink()
         _refusal(folder, job).unlink(missing_ok=True)
     commands = list(dict.fromkeys(job.command for job in jobs))
+    kinds = dict.fromkeys((job.profile, job.command) for job in jobs)
     content = {
         "needs": {job.id: job.needs for job in jobs},
-        "resources": {command: _resources(command, data) for command in commands},
+        "resources": {"/".join(kind): _resources(*kind, data) for kind in kinds},
         "problems": problems,
     }
     folder.mkdir(parents=True, exist_ok=True)
@@ -175,7 +178,8 @@ from pathlib import Path
 
 PLAN = json.loads(Path(workflow.basedir, "{plan}").read_text())
 needs = lambda command: lambda w: [f"done/{{n}}" for n in PLAN["needs"][f"{{w.profile}}/{{w.scene}}/{{command}}"]]
-take = lambda command, what: lambda w, attempt: attempt * PLAN["resources"][command][what]
+kind = lambda w, command: PLAN["resources"][f"{{w.profile}}/{{command}}"]
+take = lambda command, what: lambda w, attempt: attempt * kind(w, command)[what]
 
 localrules: all
 wildcard_constraints: profile="[^/]+", scene="[^/]+"
@@ -188,7 +192,7 @@ rule stage_{command}:
     input: needs("{command}")
     output: touch("done/{{profile}}/{{scene}}/{command}")
     params: log="logs/{{profile}}/{{scene}}/{command}.log"
-    threads: PLAN["resources"]["{command}"]["threads"]
+    threads: lambda w: kind(w, "{command}")["threads"]
     resources: mem_mb=take("{command}", "mem_mb"), runtime=take("{command}", "runtime")
     retries: {retries}
     shell: {run}
@@ -197,8 +201,9 @@ rule stage_{command}:
 
 def _shell(command: str, data: DataRoot) -> str:
     """What a job does, as text of the workflow. What a stage refuses it refuses each time: it isn't tried again, and
-    the report says so. The log is no `log` of Snakemake's, which removes these before another attempt. Packages' own
-    commands leave the page of all runs alone, which the campaign writes once."""
+    the report says so; but for what the machine lacks, which another one may have. The log is no `log` of Snakemake's,
+    which removes these before another attempt. Packages' own commands leave the page of all runs alone, which the
+    campaign writes once."""
     python = f"OMP_NUM_THREADS={{threads}} {shlex.quote(sys.executable)} -P -m"
     packages = {one.name: f"groundwalk.{one.module.rpartition('.')[0]}" for one in all_commands()}
     options = f"--scene {{wildcards.scene:q}} --profile {{wildcards.profile:q}} --data {shlex.quote(str(data.root))}"
@@ -207,13 +212,14 @@ def _shell(command: str, data: DataRoot) -> str:
     after = "" if command in ("simulate", "import", "report") else report
     return repr(
         f"log={{params.log:q}}; [ ! -e $log.refused ] || exit 2; mkdir -p $(dirname $log); status=0; "
-        f"{run} || status=$?; if [ $status = 2 ]; then touch $log.refused;{after} fi; exit $status"
+        f"{run} || status=$?; if [ $status = 2 ] && ! grep -qiE '{_MACHINES}' $log; then "
+        f"touch $log.refused;{after} fi; exit $status"
     )
 
 
-def _resources(command: str, data: DataRoot) -> dict[str, int]:
-    """Cores, MiB and minutes of a command: by the finished runs of the data folder."""
-    made = [read_json(path) for path in (data.root / "runs").glob(f"*/*/{command}/{MANIFEST}")]
+def _resources(profile: str, command: str, data: DataRoot) -> dict[str, int]:
+    """Cores, MiB and minutes of a command: by the finished runs of the data folder with this profile."""
+    made = [read_json(path) for path in (data.root / "runs" / profile).glob(f"*/{command}/{MANIFEST}")]
     mib = max((float(one.get("peak_memory_mib") or 0) for one in made), default=0) * _MARGIN
     minutes = max((float(one.get("total_seconds") or 0) for one in made), default=0) * _MARGIN / 60
     threads = min(usable_cores(), _MAX_CORES) if command in _SEVERAL_CORES else 1

@@ -161,7 +161,7 @@ def sessions(scene: SceneInputs) -> Grid | None:
 def rejects(scene: SceneInputs) -> Grid | None:
     """How many images were left out, by reason; and depth images and other rows."""
     reason = pd.Series(grouped_reasons(list(scene.rejects["reason"])), index=scene.rejects.index, dtype=object)
-    kinds = {"images": Rejected.IMAGE, "depth images": Rejected.DEPTH}
+    kinds = {"recordings": Rejected.RECORDING, "images": Rejected.IMAGE, "depth images": Rejected.DEPTH}
     counts = pd.DataFrame({name: scene.rejects["rejected"] == kind for name, kind in kinds.items()})
     counts["other rows"] = ~counts.any(axis=1)
     rows = [[why, *numbers] for why, *numbers in counts.groupby(reason).sum().itertuples()]

@@ -14,7 +14,7 @@ from groundwalk.reports.cells import LocaliserErrors
 from groundwalk.reports.grids import EMPTY
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.scoring.errors import SURE_CLASSES, within_bounds
-from groundwalk.store.choices import CheckName, DriftDefinition, MapUnit, NotRegistered, QualityClass
+from groundwalk.store.choices import CheckName, DriftDefinition, MapUnit, NotRegistered, QualityClass, Rejected
 from groundwalk.store.tables import have_times, poses_of
 from groundwalk.store.text import grouped_reasons
 
@@ -209,6 +209,9 @@ def _vio_in_map(scene: SceneInputs, frames: pd.DataFrame) -> Array:
 
 def _problems(scene: SceneInputs, frames: pd.DataFrame) -> list[Problem]:
     problems = [problem_of(scene.stopped)] if scene.stopped else []
+    left_out = scene.rejects[scene.rejects["rejected"] == Rejected.RECORDING]
+    for recording, why in left_out[["session_id", "reason"]].itertuples(index=False):
+        problems.append(Problem(f"recording {recording} left out", None, why))
     checks = scene.align_checks[scene.align_checks["status"] != "passed"]
     for key, rows in checks.groupby(["status", "check", "reason", "advice"], sort=False):
         status, check, reason, advice = map(str, key)

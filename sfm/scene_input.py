@@ -36,6 +36,7 @@ from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of, read_table
 
 _MIN_FRAMES = 3
+_STATED_SIGMAS = 3.0  # beyond which the focal length that EXIF states is told to be wrong
 
 
 def linked_images(r: StageRun[SfmSettings], frames: pd.DataFrame) -> Workspace:
@@ -81,6 +82,11 @@ def with_focal_lengths(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Wor
         if (focal_px := found.get(session_id)) is None:
             r.say(f"session {session_id}: no model tells its focal length: {before_px:.0f} px, by EXIF or a guess")
             continue
+        if abs(np.log(focal_px / before_px)) > _STATED_SIGMAS * frames.loc[of_session, "focal_sd"].median():
+            r.say(
+                f"warning: session {session_id}: EXIF states a focal length of {before_px:.0f} px, images fit "
+                f"{focal_px:.0f} px, which is used: were they cropped, or edited?"
+            )
         frames = frames.copy()
         frames.loc[of_session, ["fx", "fy"]] *= focal_px / before_px
         frames.loc[of_session, "focal_sd"] = ESTIMATED_SD

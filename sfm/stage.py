@@ -179,7 +179,10 @@ def _covariances(
     covariance = np.full((frames, 6, 6), np.nan)
     for one, (bundle, rows) in zip(models, adjusted, strict=True):
         if (estimate := covariances(bundle)) is None:  # its frames are of class C
-            r.say(f"model {one.model_id}: no covariances: its points are too few, or don't determine its poses")
+            r.say(
+                f"model {one.model_id}: no covariances: its points are too few or don't determine its poses, or, of a "
+                "large model, conjugate gradients don't come to an end"
+            )
         else:
             covariance[rows] = estimate.poses
             messages.report_coherence(r, one, estimate)

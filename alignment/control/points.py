@@ -1,8 +1,10 @@
 """Surveyed points and where images show them, by their files and by tags that are detected."""
 
 import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -139,10 +141,17 @@ def _tag_point(xy: Array, corner: str | None) -> tuple[float, float]:
 
 
 def _read(path: Path, names: list[str], *choices: list[str]) -> pd.DataFrame:
-    """A CSV file with names as text, and the first choice of finite numbers that it has."""
-    expected = f"CSV in UTF-8 with columns {' or '.join(', '.join([*names, *numbers]) for numbers in choices)}"
+    """A CSV file with names as text, and the first choice of finite numbers that it has; also as spreadsheets and total
+    stations write it: with semicolons or tabs, decimal commas, in UTF-16."""
+    expected = f"CSV with columns {' or '.join(', '.join([*names, *numbers]) for numbers in choices)}"
     try:
-        table = pd.read_csv(path, dtype=dict.fromkeys(names, str), skipinitialspace=True)
+        content = path.read_bytes()
+        text = content.decode("utf-16" if content[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) else "utf-8-sig")
+        between = max(",;\t", key=text.partition("\n")[0].count)
+        decimal = "," if between != "," and re.search(r"\d,\d", text) else "."
+        table = pd.read_csv(
+            StringIO(text), sep=between, decimal=decimal, dtype=dict.fromkeys(names, str), skipinitialspace=True
+        )
     except (OSError, ValueError) as error:
         raise UserError("a file of control points can't be read", where=path, found=error, expected=expected) from None
     numbers = next((numbers for numbers in choices if set(numbers) <= set(table)), choices[0])

@@ -9,11 +9,13 @@ The first line says what the recording is, each other line is one instant:
 """
 
 from dataclasses import replace
+from functools import partial
+from math import nan
 from pathlib import Path
 from typing import Any
 
 from groundwalk.capture_import import parsing
-from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import.capture import DepthFile, GpsFix, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
 from groundwalk.geometry.shutter import MAX_READOUT_S
 from groundwalk.store import UserError
@@ -54,7 +56,18 @@ def read(path: Path, limits: Limits) -> Recording:
         )
 
     frames, rejects = parsing.read_rows(lines[1:], read_row)
-    return Recording(folder=path, frames=frames, rejects=rejects, **header)
+    read_gps = partial(parsing.read_fixes, lines[1:], _read_fix)
+    return Recording(folder=path, frames=frames, rejects=rejects, read_gps=read_gps, **header)
+
+
+def _read_fix(_: int, line: str) -> GpsFix | None:
+    row = parsing.parse_json(line)
+    if row.get("latitude_deg") is None:
+        return None
+    latitude, longitude = (parsing.number(row, key) for key in ("latitude_deg", "longitude_deg"))
+    stated = (parsing.optional_number(row, key) for key in ("altitude_m", "accuracy_m", "altitude_sd_m"))
+    altitude, accuracy, altitude_sd = (nan if value is None else value for value in stated)
+    return GpsFix(parsing.whole(row, "t_ns"), latitude, longitude, altitude, accuracy, altitude_sd)
 
 
 def _header(path: Path, line: str) -> dict[str, Any]:

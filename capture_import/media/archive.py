@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 from groundwalk.capture_import.capture import Limits
 from groundwalk.store import UserError
 from groundwalk.store.damage import as_user_error
+from groundwalk.store.errors import MachineError
 from groundwalk.store.files import sync_tree
 
 SUFFIXES = (".zip", ".r3d")
@@ -55,7 +56,7 @@ def unpack(archive: Path, target: Path, limits: Limits) -> None:
                 shutil.disk_usage(partial).free,
             )
             if needed > free:
-                raise UserError(
+                raise MachineError(
                     f"too little free space to unpack an archive into {partial}",
                     where=archive,
                     expected=f"{needed / 2**20:,.0f} MiB",

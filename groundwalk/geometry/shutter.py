@@ -25,6 +25,12 @@ def usual_first_row(width: int, height: int) -> str:
     return "right" if height > width else "top"
 
 
+def turned_side(side: str, quarters: int) -> str:
+    """Where a side of an image lies after quarter turns clockwise."""
+    sides = list(_SHARE)
+    return sides[(sides.index(side) + quarters) % len(sides)]
+
+
 def readout_lines(first_row: Iterable[str], width_N: ArrayLike, height_N: ArrayLike) -> Array:
     """(N, 3) a, b, c of each image, for `readout_fraction`.
 

@@ -36,6 +36,7 @@ def link_captures(
 ) -> None:
     """Make data/captures/<scene> a link to a folder of captures, which stays as it is."""
     link_folder(DataRoot(data), scene, folder)
+    progress.stdout.print(f"{DataRoot(data).captures(scene)} → {folder}")
 
 
 def link_folder(data: DataRoot, scene: str, folder: Path) -> None:
@@ -56,7 +57,6 @@ def link_folder(data: DataRoot, scene: str, folder: Path) -> None:
                 do="name another scene, or move that folder away",
             )
         link.symlink_to(folder.resolve(), target_is_directory=True)
-    progress.stdout.print(f"{link} → {folder}")
 
 
 @app.command()

@@ -9,7 +9,7 @@ Split = StrEnum("Split", "TRAIN VAL TEST")
 SessionSplit = StrEnum("SessionSplit", "TRAIN TEST MIXED UNUSED")
 """What a session is for; `mixed`: parts of it for each."""
 
-Rejected = StrEnum("Rejected", "IMAGE POSE DEPTH")
+Rejected = StrEnum("Rejected", "IMAGE POSE DEPTH RECORDING")
 """What of a capture was rejected."""
 
 Tracking = StrEnum("Tracking", "NORMAL LIMITED LOST UNKNOWN")

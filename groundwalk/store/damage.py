@@ -8,7 +8,7 @@ import signal
 from pathlib import Path
 
 from groundwalk.store.child import ProcessDied
-from groundwalk.store.errors import UserError
+from groundwalk.store.errors import MachineError, UserError
 
 _OTHER_DISK = "name a data folder on another disk with --data"
 _DO = {
@@ -41,8 +41,8 @@ def causes(error: BaseException | None) -> list[BaseException]:
     return chain
 
 
-def as_user_error(error: BaseException, work: Path | None = None) -> UserError | None:
-    """A full disk, a read-only folder and their like as a UserError; None where the machine isn't the cause.
+def as_user_error(error: BaseException, work: Path | None = None) -> MachineError | None:
+    """A full disk, a read-only folder and their like; None where the machine isn't the cause.
 
     Libraries hide the cause: with `work`, an error without a number is the disk's if that is full there.
     """
@@ -51,21 +51,21 @@ def as_user_error(error: BaseException, work: Path | None = None) -> UserError |
             return sentence(cause, work)
         if isinstance(cause, MemoryError):
             do = "take smaller settings, or a machine with more memory"
-            return UserError("the memory is used up", where=work, found=str(cause) or None, do=do)
+            return MachineError("the memory is used up", where=work, found=str(cause) or None, do=do)
     if work is not None and isinstance(error, RuntimeError | ProcessDied | OSError) and (number := _probe(work)):
         text = str(error).split("\n")[0][:200]
-        return UserError(os.strerror(number).lower(), where=work, found=f"{_free(work)}; {text}", do=_DO.get(number))
+        return MachineError(os.strerror(number).lower(), where=work, found=f"{_free(work)}; {text}", do=_DO.get(number))
     return None
 
 
-def sentence(error: OSError, work: Path | None = None) -> UserError:
+def sentence(error: OSError, work: Path | None = None) -> MachineError:
     """An error that has a number, in words."""
     # Of a link or a rename that fails, the place where it was to be.
     name = error.filename if error.filename2 is None else error.filename2
     where = Path(os.fsdecode(name)) if isinstance(name, str | bytes) else work
     room = _free(where) if error.errno in _OF_SPACE else None
     number = error.errno or 0  # the system's own words for it can be searched for
-    return UserError(os.strerror(number).lower(), where=where, found=room, do=_DO.get(number))
+    return MachineError(os.strerror(number).lower(), where=where, found=room, do=_DO.get(number))
 
 
 def may_be_damage(error: Exception) -> bool:

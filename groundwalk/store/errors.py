@@ -34,6 +34,16 @@ class UserError(Exception):
         lines += [f"  {name + ':':<10}{text}" for name, text in texts.items()]
         return "\n".join(lines)
 
+    @property
+    def line(self) -> str:
+        """What is wrong, what was found and what to do, in one line."""
+        found, do = (" ".join(str(self.details[name] or "").split()) for name in ("found", "do"))
+        return self.what + (f": {found}" if found else "") + (f"; {do}" if do else "")
+
     def __reduce__(self) -> tuple[object, ...]:
         # Keyword arguments need help to cross a process border.
         return partial(type(self), self.what, **self.details), ()
+
+
+class MachineError(UserError):
+    """The machine's fault, not the input's: no space, no memory, a folder that can't be written."""

@@ -134,7 +134,7 @@ for (const box of document.querySelectorAll(".frames")) {
     strip.querySelector(".now").setAttribute("d", `M${(1000 * (row + 0.5) / rows.length).toFixed(1)} 0V100`);
     const near = nearest(row), said = Object.entries(data.refusals).filter(([, why]) => why[row]);
     const facts = [
-      ["class", data.class[row] + (data.reason[row] ? `: ${data.reason[row]}` : "")],
+      ["class", data.class[row] + (data.reason[row] ? `: ${data.reason[row].replace(/^class .: /, "")}` : "")],
       ["split", data.split[row]],
       ["time", data.time[row] === null ? "–" : `${say(data.time[row], 4)} s`],
       [`position (${data.unit})`, data.place.map((axis) => say(axis[row], 4)).join(", ")],

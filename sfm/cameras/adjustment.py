@@ -51,6 +51,7 @@ _ROUGH_MAX_STEPS, _ROUGH_LOSS_WIDENING = 8, 4.0
 # captures); residuals beyond so many sigmas count as that.
 _NOISE_FREEDOM, _MAX_NOISE_SIGMAS, _NOISE_STEPS = 4.0, 3.0, 5
 _MAX_DAMPINGS = 6
+_OBSERVATIONS = 1 << 15  # at once
 _MIN_READOUT_S = 1e-6
 _MIN_COST_DECREASE = 1e-4  # relative change of the cost
 # How long a focus stays as it is, and the share of its variance that is each frame's alone.
@@ -124,9 +125,15 @@ class Linearization:
     by_point: Array
 
     def over(self, noise_M: Array) -> "Linearization":
-        """The same in units of each observation's noise (M,): residuals and derivatives divided by it."""
-        noise = noise_M[:, None]
-        return Linearization(self.residual / noise, self.by_camera / noise[:, None], self.by_point / noise[:, None])
+        """The same in units of each observation's noise (M,): residuals and derivatives are divided in place,
+        for memory."""
+        for values in (
+            self.residual,
+            self.by_camera.reshape(len(noise_M), -1),
+            self.by_point.reshape(len(noise_M), -1),
+        ):
+            values /= noise_M[:, None]
+        return self
 
 
 @dataclass(frozen=True)
@@ -148,7 +155,8 @@ class Adjusted:
 
 def project(bundle: Bundle, cameras: Cameras, *, shutter: bool = True) -> Array:
     """Where each observation's point is seen, (M, 2) px; without the shutter: as if all rows were the middle one."""
-    return _forward(bundle, cameras, shutter=shutter).pixel
+    parts = [_forward(_part(bundle, own), cameras, shutter=shutter).pixel for own in _chunks(bundle)]
+    return np.concatenate([np.empty((0, 2)), *parts])
 
 
 def folded(bundle: Bundle, cameras: Cameras) -> np.ndarray:
@@ -192,6 +200,15 @@ def _forward(bundle: Bundle, cameras: Cameras, *, shutter: bool = True) -> _Forw
 
 def linearize(bundle: Bundle, cameras: Cameras) -> Linearization:
     """Residuals, projected minus observed, and their derivatives."""
+    count, width = len(bundle.frame), _LOCAL + LENS_UNKNOWNS + 1
+    linear = Linearization(np.empty((count, 2)), np.empty((count, 2, width)), np.empty((count, 2, 3)))
+    for own in _chunks(bundle):
+        linear.residual[own] = _linearize(_part(bundle, own), cameras, linear.by_camera[own], linear.by_point[own])
+    return linear
+
+
+def _linearize(bundle: Bundle, cameras: Cameras, by_camera: Array, by_point: Array) -> Array:
+    """The residuals; fills in their derivatives."""
     forward = _forward(bundle, cameras)
     pixel, q, n, tau, turn = forward.pixel, forward.in_row, forward.ideal, forward.tau, forward.row_R_cam
     i = bundle.frame
@@ -204,8 +221,7 @@ def linearize(bundle: Bundle, cameras: Cameras) -> Linearization:
     n_by_q[:, 0, 2], n_by_q[:, 1, 2] = -x / z, -y / z
     by_q = by_n @ n_by_q
     by_p = by_q @ turn.as_matrix()
-    by_point = by_p @ forward.cam_R_sfm
-    by_camera = np.empty((len(n), 2, _LOCAL + LENS_UNKNOWNS + 1))
+    by_point[:] = by_p @ forward.cam_R_sfm
     by_frame, by_shared = by_camera[:, :, :_LOCAL], by_camera[:, :, _LOCAL:]
     by_frame[:, :, :3] = by_point @ skew(forward.offset)
     by_frame[:, :, 3:6] = -by_point
@@ -217,7 +233,18 @@ def linearize(bundle: Bundle, cameras: Cameras) -> Linearization:
     by_shared[:, :, LENS_UNKNOWNS] = by_frame[:, :, _FOCUS]
     by_camera[np.isin(i, bundle.held_frames)] = 0.0
     by_point[np.isin(bundle.point, bundle.held_points)] = 0.0
-    return Linearization(pixel - bundle.observed_px, by_camera, by_point)
+    return np.asarray(pixel - bundle.observed_px)
+
+
+def _chunks(bundle: Bundle) -> list[slice]:
+    """Observations some at a time, for memory."""
+    count = len(bundle.frame)
+    return [slice(first, min(first + _OBSERVATIONS, count)) for first in range(0, count, _OBSERVATIONS)]
+
+
+def _part(bundle: Bundle, own: slice) -> Bundle:
+    """The bundle with some of its observations."""
+    return replace(bundle, frame=bundle.frame[own], point=bundle.point[own], observed_px=bundle.observed_px[own])
 
 
 def shared_columns(cameras: Cameras) -> Ints:
@@ -242,26 +269,28 @@ def regular_system(
     size = _LOCAL * frames
     w = np.sqrt(weight_M)[:, None]
     residual, by_point = w * linear.residual, w[:, :, None] * linear.by_point
-    by_camera = w[:, :, None] * linear.by_camera
-    # J^T J (N, 15, 15) and J^T r (N, 15) of each frame.
-    width, bounds = by_camera.shape[2], np.searchsorted(bundle.frame, np.arange(frames + 1))
-    blocks, pull = np.zeros((frames, width, width)), np.zeros((frames, width))
-    for k in range(frames):
-        jacobian = by_camera[bounds[k] : bounds[k + 1]].reshape(-1, width)
-        blocks[k], pull[k] = jacobian.T @ jacobian, jacobian.T @ residual[bounds[k] : bounds[k + 1]].ravel()
-    # Nothing pulls at what is held; any information keeps it where it is.
-    blocks[bundle.held_frames, :6, :6] = np.eye(6)
     point_blocks = summed(outer(by_point, by_point), bundle.point, points)
     point_blocks += 1e-9 * np.trace(point_blocks, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     point_blocks[bundle.held_points] = np.eye(3)
     point_pull = summed(np.sum(by_point * residual[:, :, None], axis=1), bundle.point, points)
     lower_inverse = np.linalg.inv(np.linalg.cholesky(point_blocks))
-    # With V = L L^T the points' part of the Schur complement, W V^-1 W^T, is A A^T with A = W L^-T.
-    a_blocks = outer(by_camera, by_point) @ np.swapaxes(lower_inverse, 1, 2)[bundle.point]
-    local = block_rows(a_blocks[:, :_LOCAL], bundle.frame, bundle.point, frames, points)
-    by_column = np.zeros((shared, points, 3))
-    for k in range(LENS_UNKNOWNS + 1):
-        np.add.at(by_column, (columns[bundle.frame, k], bundle.point), a_blocks[:, _LOCAL + k])
+    # J^T J (N, 15, 15) and J^T r (N, 15) of each frame. With V = L L^T the points' part of the Schur complement,
+    # W V^-1 W^T, is A A^T with A = W L^-T. Frame by frame, for memory.
+    width, bounds = linear.by_camera.shape[2], np.searchsorted(bundle.frame, np.arange(frames + 1))
+    blocks, pull = np.zeros((frames, width, width)), np.zeros((frames, width))
+    of_frames, by_column = np.empty((len(w), _LOCAL, 3)), np.zeros((shared, points, 3))
+    for k in range(frames):
+        own = slice(bounds[k], bounds[k + 1])
+        by_camera, point = w[own, :, None] * linear.by_camera[own], bundle.point[own]
+        jacobian = by_camera.reshape(-1, width)
+        blocks[k], pull[k] = jacobian.T @ jacobian, jacobian.T @ residual[own].ravel()
+        a_blocks = outer(by_camera, by_point[own]) @ np.swapaxes(lower_inverse, 1, 2)[point]
+        of_frames[own] = a_blocks[:, :_LOCAL]
+        for j, column in enumerate(columns[k]):
+            np.add.at(by_column[column], point, a_blocks[:, _LOCAL + j])
+    # Nothing pulls at what is held; any information keeps it where it is.
+    blocks[bundle.held_frames, :6, :6] = np.eye(6)
+    local = block_rows(of_frames, bundle.frame, bundle.point, frames, points)
     of_shared = by_column.reshape(shared, 3 * points)
     scaled_pull = np.einsum("pij,pj->pi", lower_inverse, point_pull).ravel()
     gradient = np.empty(size + shared)
@@ -403,6 +432,7 @@ def adjust(bundle: Bundle, cameras: Cameras, priors: CameraPriors, *, rough: boo
         else:
             break
         bundle, cameras = moved
+        del linear, system  # two of them needn't fit into memory
         if before - cost < _MIN_COST_DECREASE * before:
             break
     return Adjusted(bundle, cameras, priors, loss_px, noise)

@@ -13,7 +13,7 @@ import pandas as pd
 import pycolmap
 
 from groundwalk.sfm.cameras.lenses import PHONE_K1_K2
-from groundwalk.sfm.database import Ints, create_database
+from groundwalk.sfm.database import Ints, create_database, image_id
 from groundwalk.sfm.mapping.mappers import pipeline_options
 from groundwalk.sfm.pairs.features import extract_features
 from groundwalk.sfm.pairs.matching import match_pairs
@@ -32,9 +32,10 @@ _MIN_IMAGES = 3
 
 
 def sample_unstated(frames: pd.DataFrame) -> Ints:
-    """Rows of the frames table whose focal lengths nothing states well, of each session those of its most usual size:
-    all, or so many from the middle of their order."""
-    size = frames["width"].astype(str) + "x" + frames["height"].astype(str)
+    """Rows of the frames table whose focal lengths nothing states well, of each session those of its most usual size,
+    of either orientation: all, or so many from the middle of their order."""
+    sides = frames[["width", "height"]]
+    size = sides.max(axis=1).astype(str) + "x" + sides.min(axis=1).astype(str)
     usual = size.groupby(frames["session_id"]).transform(lambda of_session: of_session.mode().iloc[0])
     rows = np.flatnonzero((frames["focal_sd"] >= ESTIMATED_SD) & (size == usual))
     first = max(0, (len(rows) - _MAX_IMAGES) // 2)
@@ -57,6 +58,7 @@ def estimate_focal_lengths(
     database = work / "pairs.db"
     create_database(database, frames, names, _shared_cameras(frames, _STARTS[0]))
     extract_features(lambda done, note="": None, database, images, names, settings)
+    _turn_alike(database, frames)
     # Of cameras without a prior by their fundamental matrices, whatever the focal length that they start from.
     match_pairs(report, database, np.stack(np.triu_indices(len(frames), 1), axis=1), seed)
     found: tuple[tuple[int, int], dict[str, float]] = (0, 0), {}
@@ -79,6 +81,18 @@ def estimate_focal_lengths(
                 }
                 found = size, focal
     return found[1]
+
+
+def _turn_alike(database: Path, frames: pd.DataFrame) -> None:
+    """Turn the keypoints of images that lie across their session's first one: to a camera whose principal point is in
+    the middle any quarter turn is the same."""
+    width = frames["width"].to_numpy()
+    lies_across = width != frames.groupby("session_id", sort=False)["width"].transform("first").to_numpy()
+    with pycolmap.Database.open(database) as opened, pycolmap.DatabaseTransaction(opened):
+        for row in np.flatnonzero(lies_across).tolist():
+            keypoints = opened.read_keypoints(image_id(row))[:, :2]
+            turned = np.column_stack([keypoints[:, 1], width[row] - keypoints[:, 0]])
+            opened.update_keypoints(image_id(row), turned.astype(np.float32))
 
 
 def _shared_cameras(frames: pd.DataFrame, start: float) -> dict[str, pycolmap.Camera]:

@@ -81,15 +81,16 @@ class SceneLenses:
 def lenses_of(frames: pd.DataFrame, device_of_session: dict[str, str]) -> tuple[Ints, list[str]]:
     """Which lens each of N frames was taken with (N,), and the lenses' names.
 
-    Frames share a lens where their device, image size, stated distortion and readout time and, about, focal length are
-    the same; an ultra-wide camera's focal length is half of the main one's.
+    Frames share a lens where their device, image size (of whatever orientation), stated distortion and readout time
+    and, about, focal length are the same; an ultra-wide camera's focal length is half of the main one's.
     """
     device = frames["session_id"].map(device_of_session).fillna("").to_numpy(str)
-    size = [f"{w}x{h}" for w, h in zip(frames["width"], frames["height"], strict=True)]
+    longer, shorter = frames[["width", "height"]].max(axis=1), frames[["width", "height"]].min(axis=1)
+    size = [f"{w}x{h}" for w, h in zip(longer, shorter, strict=True)]
     stated = [",".join(f"{k:.6g}" for k in row) for row in frames["distortion"]]
     readout = frames["stated_readout_s"].to_numpy(str)
     group = pd.Series(["|".join(key) for key in zip(device, size, stated, readout, strict=True)])
-    focal = np.log(frames["fx"].to_numpy(float) / frames["width"].to_numpy(float))
+    focal = np.log(frames["fx"].to_numpy(float) / longer.to_numpy(float))
     lens = np.zeros(len(frames), np.int64)
     names: list[str] = []
     for _, rows in group.groupby(group, sort=True).indices.items():

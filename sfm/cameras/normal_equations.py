@@ -22,10 +22,12 @@ _TOLERANCE, _MAX_ITERATIONS = 1e-4, 40
 MAX_FACTORED = 25_000
 """Unknowns of a system whose factor, or inverse, is formed: 5 GB."""
 # Where no factor is formed: the same for an adjustment's steps, for products with the inverse, and the iterations.
-_STEP_TOLERANCE, _PRODUCT_TOLERANCE, _MAX_UNFACTORED_ITERATIONS = 1e-2, 1e-3, 500
+_STEP_TOLERANCE, _MAX_STEP_ITERATIONS = 1e-2, 500
+_PRODUCT_TOLERANCE, _MAX_PRODUCT_ITERATIONS = 1e-3, 1500
 _CLUSTER = 64  # frames, at most, of which one factor is formed
 _CHUNK = 64  # frames at once, for memory
 _ROWS = 1024  # of a matrix, likewise
+_FEW_COLUMNS = 8  # up to so many, products of blocks are as fast as those of single numbers
 
 
 @dataclass(frozen=True)
@@ -60,16 +62,18 @@ class System:
         return self.of_points.T
 
     @cached_property
-    def _of_points_by_number(self) -> tuple[csr_array, csr_array]:
-        """`of_points` and its transpose, whose products with many columns are twice as fast as those of blocks."""
-        return csr_array(self.of_points), csr_array(self.of_points.T)
+    def _of_points_by_number(self) -> csr_array:
+        """`of_points`, for products with many columns."""
+        return csr_array(self.of_points)
 
     def times(self, x: Array) -> Array:
         """The product of the matrix, which needn't be formed, with a vector (l N + G,) or with columns (l N + G, k)."""
         columns = x.reshape(len(x), -1)
-        of_points, of_points_T = self.of_points, self._of_points_T
-        if columns.shape[1] > 1:
-            of_points, of_points_T = self._of_points_by_number
+        if columns.shape[1] > _FEW_COLUMNS:
+            of_points: bsr_array | csr_array = self._of_points_by_number
+            of_points_T = of_points.T
+        else:
+            of_points, of_points_T = self.of_points, self._of_points_T
         frames_x, shared = columns[: self.size], columns[self.size :]
         frames = len(self.blocks)
         local = self.size // frames
@@ -151,7 +155,7 @@ class Solver:
         shape = (len(right), len(right))
         scaled = LinearOperator(shape, lambda x: unit * system.times(unit * x) + damping * x, dtype=float)
         if len(right) > MAX_FACTORED:
-            return IterativeSolver(system, diagonal, damping).solve(right, _STEP_TOLERANCE)[0]
+            return IterativeSolver(system, diagonal, damping).solve(right, _STEP_TOLERANCE, _MAX_STEP_ITERATIONS)[0]
         if self._factor is not None:
             factor = self._factor
             precondition = LinearOperator(shape, lambda x: cho_solve(factor, x / unit) / unit, dtype=float)
@@ -197,14 +201,16 @@ class IterativeSolver:
         coarse[:, 7 * len(clusters) :] = self._restricted(self._times(np.eye(total, total - size, -size)))
         self._coarse = pinvh(coarse)
 
-    def solve(self, right: Array, tolerance: float = _PRODUCT_TOLERANCE) -> tuple[Array, bool]:
+    def solve(
+        self, right: Array, tolerance: float = _PRODUCT_TOLERANCE, iterations: int = _MAX_PRODUCT_ITERATIONS
+    ) -> tuple[Array, bool]:
         """x (l N + G,) or (l N + G, k), and whether it came to the tolerance within as many iterations as are taken at
         most: the residual, in units of each unknown's own information, over that of `right`."""
         residual, x = right.reshape(len(right), -1).copy(), np.zeros((len(right), right.size // len(right)))
         limit = tolerance * self._norm(residual)
         preconditioned = self._precondition(residual)
         direction, product = preconditioned.copy(), np.sum(residual * preconditioned, axis=0)
-        for _ in range(_MAX_UNFACTORED_ITERATIONS):
+        for _ in range(iterations):
             if (self._norm(residual) <= limit).all():
                 return x.reshape(right.shape), True
             pulled = self._times(direction)

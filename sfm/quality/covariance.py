@@ -128,14 +128,15 @@ def _sampled_covariances(
     solver = IterativeSolver(system, system.diagonal(), 0.0)
     index, parts = local_unknowns(len(gauge) // 6)[:, :6].ravel(), []
     of_shared, is_done = solver.solve(np.eye(total, total - size, -size))
+    if not is_done:
+        raise LinAlgError("conjugate gradients take too many iterations")
     for _ in track(range(_SAMPLES // _AT_ONCE), "sampling uncertainties"):
         drawn = np.array([prior_draw(adjusted.cameras, adjusted.priors, rng) for _ in range(_AT_ONCE)])
         pulls = by_keypoint @ rng.standard_normal((by_keypoint.shape[1], _AT_ONCE)) + information @ drawn.T
-        moved, is_part_done = solver.solve(pulls)
-        is_done &= is_part_done
+        moved, is_done = solver.solve(pulls)
+        if not is_done:
+            raise LinAlgError("conjugate gradients take too many iterations")
         parts.append(moved[index])
-    if not is_done:
-        raise LinAlgError("conjugate gradients take too many iterations")
     moved = np.hstack(parts)
     moved = (moved - gauge @ (h @ moved)).reshape(-1, 6, _SAMPLES)
     # So few samples may have missed where errors are large: so much larger, squared errors over them are as expected
@@ -165,10 +166,14 @@ def _of_centres(adjusted: Adjusted, linear: Linearization, weight_M: Array, poin
     i = bundle.frame
     at = (bundle.observed_px - cameras.intrinsics[i, 2:]) / cameras.focal[i]
     pulls = []
+    # The sensor's axes, which lie otherwise in images that were turned.
+    down = np.sign(cameras.readout_line[i, :2])
+    right = np.column_stack([down[:, 1], -down[:, 0]])
     for lens, sd_px in enumerate(adjusted.priors.centre_sd_px):
         size_M = np.where(cameras.lens[i] == lens, sd_px, 0.0) / adjusted.noise_M
-        for axis in (0, 1):
-            force = _forces(linear, weight_M, (size_M * at[:, axis])[:, None] * at, bundle.point, point_inverse)
+        for axis in (right, down):
+            off = size_M * np.sum(at * axis, axis=1)
+            force = _forces(linear, weight_M, off[:, None] * at, bundle.point, point_inverse)
             pulls.append(_rows_of_unknowns(force, adjusted, np.zeros_like(i), 1).toarray())
     return np.hstack(pulls)
 

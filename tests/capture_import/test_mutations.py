@@ -52,7 +52,7 @@ def read_all(root: Path, unpacked: Path) -> bool:
         for found in find_recordings(root, unpacked, limits):
             raw = found.read(limits)
             sessions = sound_sessions(raw, ImageReader([root.resolve(), unpacked.resolve()], limits).check, 0.5)
-            rejects_table(sessions)
+            rejects_table(sessions, {})
             for session in sessions:
                 assert (np.diff(session.t_ns) > 0).all()
                 if raw.pose_source != PoseSource.NONE:  # of a capture without its log images alone may be left

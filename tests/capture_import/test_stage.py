@@ -221,6 +221,42 @@ def test_a_large_jump_splits_the_session_a_small_one_is_told_and_rejects_name_th
     ]
 
 
+def test_a_recording_that_cannot_be_used_is_left_out_and_named_and_the_others_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    captures = tmp_path / "captures" / "place"
+    write_scanner_app(captures / "good-1", make_walk(60))
+    write_scanner_app(captures / "good-2", make_walk(60, seed=1))
+    write_scanner_app(captures / "empty-log", make_walk(6))
+    for path in (captures / "empty-log").glob("frame*.json"):
+        path.write_bytes(b"")
+    fast = make_walk(60, seed=2)
+    write_scanner_app(
+        captures / "in-mm", replace(fast, vio_T_cam=fast.vio_T_cam * np.c_[np.ones((4, 3)), [1e3, 1e3, 1e3, 1]])
+    )
+    (captures / "upload.zip").write_bytes(b"")
+    tables = run_import(tmp_path, "place")
+    assert set(tables["sessions"]["recording"]) == {"good-1", "good-2"}
+    left_out = tables["rejects"][tables["rejects"]["rejected"] == "recording"].set_index("session_id")
+    words = {"empty-log": "no frame of this recording can be read", "in-mm": "isn't plausible", "upload": "unpacked"}
+    assert left_out.index.tolist() == list(words) and tables["figures"]["recordings_left_out"] == 3
+    told = capsys.readouterr().err
+    for name, text in words.items():
+        assert text in str(left_out.loc[name, "reason"]) and f"warning: {name} is left out: " in told
+    unusable: list[str] = []
+    lines = list(inspect_capture(captures, unusable=unusable))
+    assert unusable == list(words) and sum(line.startswith("  status     unusable") for line in lines) == 3
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "scenes" / "place.toml").write_text("split.test = ['upload']\n")
+    with pytest.raises(UserError, match="no such session"):
+        run_import(tmp_path, "place")
+    (tmp_path / "scenes" / "place.toml").unlink()
+    shutil.rmtree(captures / "good-1")
+    shutil.rmtree(captures / "good-2")
+    with pytest.raises(UserError, match="no frame of this recording can be read"):
+        run_import(tmp_path, "place")
+
+
 def test_user_mistakes_are_told_in_a_few_lines(tmp_path: Path) -> None:
     captures = tmp_path / "captures"
     (captures / "empty").mkdir(parents=True)

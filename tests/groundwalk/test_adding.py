@@ -136,10 +136,13 @@ def test_a_walk_that_does_not_fit_is_refused_with_the_reason_and_changes_nothing
 ) -> None:
     make_recording(tmp_path / "elsewhere", _FRAMES, 1.4, 2.5, seed=20)
     shutil.copytree(walks / "one", tmp_path / "again")
+    for path in shutil.copytree(walks / "three", tmp_path / "broken").glob("*.json*"):
+        path.write_bytes(b"")
     before = _files(data)
     for recording, reason in (
         (tmp_path / "elsewhere", "don't fit the map"),
         (tmp_path / "again", "again is a recording that the scene has already"),
+        (tmp_path / "broken", "isn't its header"),
         (walks / "one", "the captures have one already"),
         (tmp_path / "nowhere", "the recording isn't there"),
     ):

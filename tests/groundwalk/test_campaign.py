@@ -83,9 +83,12 @@ def test_flags_of_what_is_outdated_go_and_resources_are_those_of_finished_runs(t
     made = data.run("tiny", "other", "sfm")
     made.mkdir(parents=True)
     (made / "manifest.json").write_text(json.dumps({"peak_memory_mib": 3000, "total_seconds": 600}))
+    slower = data.run("paper", "other", "sfm")  # another profile's, which says nothing of this one
+    slower.mkdir(parents=True)
+    (slower / "manifest.json").write_text(json.dumps({"peak_memory_mib": 30000, "total_seconds": 60000}))
     write_workflow(folder, jobs, {}, data)
     assert not flag.exists()
     resources = json.loads((folder / PLAN).read_text())["resources"]
-    assert resources["sfm"]["mem_mb"] == 5012 and resources["sfm"]["runtime"] == 20
-    assert resources["import"]["mem_mb"] == 4096
+    assert resources["tiny/sfm"]["mem_mb"] == 5012 and resources["tiny/sfm"]["runtime"] == 20
+    assert resources["tiny/import"]["mem_mb"] == 4096
     assert (write_report(folder, data)["state"] == State.WAITING).all()

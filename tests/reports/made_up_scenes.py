@@ -255,6 +255,7 @@ class MadeUpScene:
             ("walk_1", "frame_00009.json", "not tracking", "pose"),
             ("walk_2", "depth_00003.png", "depth image is broken; its image is used without", "depth"),
             ("walk_2", "frame_00004.json", "no number", None),
+            ("walk_3", "walk_3", "a video can't be read: 0 bytes", "recording"),
         ]
         table = pd.DataFrame(rows, columns=["session_id", "source", "reason", "rejected"])
         return filled("import", "rejects", len(rows), **table)

@@ -236,10 +236,11 @@ def test_structure_localisers_stand_beside_the_regressors(make_run: MakeRun) -> 
 def test_the_pages_tables_have_what_the_stages_found(church: tuple[DataRoot, Path]) -> None:
     folder = church[1]
     assert rows_of(folder, "rejects-Church") == [
-        ["depth image is broken; its image is used without", "0", "1", "0"],
-        ["image is broken: truncated after … bytes", "2", "0", "0"],
-        ["no number", "0", "0", "1"],
-        ["not tracking", "0", "0", "1"],
+        ["a video can't be read: 0 bytes", "1", "0", "0", "0"],
+        ["depth image is broken; its image is used without", "0", "0", "1", "0"],
+        ["image is broken: truncated after … bytes", "0", "2", "0", "0"],
+        ["no number", "0", "0", "0", "1"],
+        ["not tracking", "0", "0", "0", "1"],
     ]
     assert [row[-1] for row in rows_of(folder, "sessions-Church")] == ["2", "0", "0", "0"]
     figures = ["12 of 13", "12", "6.4", "8.4", "15.0", "92", "+0.07 ± 0.01", "0.03 ± 0.16"]

@@ -105,6 +105,9 @@ def test_whatever_keeps_a_frame_from_being_sure_comes_with_what_to_do(
     rewrite(data, "Yard", "align", "ground_truth", truth.assign(reason=np.where(uncertain, grade(evidence).reason, "")))
     problems = judged(data, "Yard")[1]["problems"]
     assert [problem["do"] != "" for problem in problems if problem["what"] == "class C"] == [True]
+    assert [p["why"] for p in problems if p["what"] == "recording walk_3 left out"] == [
+        "a video can't be read: 0 bytes"
+    ]
     assert all(any(words in reason for words in FRAME_ADVICE) for reason in NotRegistered)
 
 

@@ -65,14 +65,14 @@ sessions 3.4: The recordings of a capture.
     up_source (UpSource?): what says whether +y is up: the format, untested; the capture itself; or import's test, by
         the accelerometer, lines in the images or the start pose
 
-rejects 1.1: Rows and files of the captures that were rejected; images that sampling didn't select aren't here.
+rejects 1.2: Rows, files and recordings that were rejected; images that sampling didn't select aren't here.
     session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one
         camera of several (`walk.camera2`)
     source (string): file or row in the capture
     t_ns (int64?, ns): time on the session's clock, where it could be read
     reason (string): why
-    rejected (Rejected?): what is left out by it: an image with its pose, a pose without an image, or the depth image of
-        a frame that stays; null for a row that can't be read
+    rejected (Rejected?): what is left out by it: an image with its pose, a pose without an image, the depth image of a
+        frame that stays, or a recording as a whole, which then has no other row; null for a row that can't be read
 
 jumps 1.0: Motion between two poses that no hand can do: relocalisations of the odometry.
     session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one

@@ -192,6 +192,24 @@ def test_a_tag_that_is_there_twice_is_named(place: tuple[Scene, Array], tmp_path
 
 
 @pytest.mark.parametrize(
+    ("text", "encoding"),
+    [
+        ("point,x_m,y_m,z_m\na,1.5,-2,0.25\n", "utf-8-sig"),
+        ("point;x_m;y_m;z_m\r\na;1,5;-2;0,25\r\n", "utf-8"),
+        ("point;x_m;y_m;z_m\na;1.5;-2;0.25\n", "utf-16"),
+        ("point\tx_m\ty_m\tz_m\na\t1,5\t-2,0\t0,25\n", "utf-8"),
+    ],
+)
+def test_tables_are_read_as_spreadsheets_write_them(
+    text: str, encoding: str, place: tuple[Scene, Array], tmp_path: Path
+) -> None:
+    (tmp_path / "survey.csv").write_bytes(text.encode(encoding))
+    (tmp_path / "seen.csv").write_text("frame,point,x_px,y_px\nwalk0/000000,a,5,5\n")
+    (settings,) = controls_of([{"points": "survey.csv", "images": "seen.csv"}])
+    assert find_points(settings, place[0].frames, tmp_path, Path).xyz_m.tolist() == [[1.5, -2.0, 0.25]]
+
+
+@pytest.mark.parametrize(
     ("survey", "seen", "what"),
     [
         ("point,x,y,z\na,0,0,0\n", "", "column x_m is missing"),

@@ -1,5 +1,7 @@
 """Each format: written from a walk, read back to the same walk."""
 
+import json
+import math
 import re
 import shutil
 from pathlib import Path
@@ -244,6 +246,19 @@ def test_public_data_sets_keep_their_split_and_have_no_vio(tmp_path: Path) -> No
     assert "TestSplit.txt" in unlisted.notes[0]
     write_cambridge(tmp_path / "church" / "seq1", make_walk(8))
     assert {frame.split for frame in read_one(tmp_path / "church").frames} == {"train"}
+
+
+def test_positions_on_earth_of_frames_jsonl_are_read_where_they_are_stated(tmp_path: Path) -> None:
+    WRITERS["frames_jsonl"].write(tmp_path / "place", make_walk(5))
+    log = tmp_path / "place" / "frames.jsonl"
+    header, *rows = map(json.loads, log.read_text().splitlines())
+    rows[0] |= {"latitude_deg": 48.25, "longitude_deg": 11.5, "altitude_m": 515.0, "accuracy_m": 0.02}
+    rows[1] |= {"latitude_deg": 48.25, "longitude_deg": 11.5}
+    rows[2] |= {"latitude_deg": "north", "longitude_deg": 11.5}
+    log.write_text("\n".join(map(json.dumps, [header, *rows])))
+    fixes, rejects = there(read_one(tmp_path / "place").read_gps)()
+    assert [fix.t_ns for fix in fixes] == [row["t_ns"] for row in rows[:2]] and len(rejects) == 1
+    assert (fixes[0].altitude_m, fixes[0].accuracy_m) == (515.0, 0.02) and math.isnan(fixes[1].altitude_m)
 
 
 def test_ios_loggers_gps_is_read_in_both_of_its_versions(tmp_path: Path) -> None:

@@ -62,15 +62,17 @@ def off(data: bytes, index: int, turns: int = 0) -> float:
     return float(np.abs(shown.astype(float) - np.rot90(image(index, WIDTH, HEIGHT), -turns)).mean())
 
 
-@pytest.mark.parametrize(("orientation", "turns"), [(6, 1), (3, 2), (8, 3)])
-def test_orientation_is_applied_once(tmp_path: Path, orientation: int, turns: int) -> None:
+@pytest.mark.parametrize(
+    ("orientation", "turns", "first_row"), [(6, 1, "bottom"), (3, 2, "bottom"), (8, 3, "top")]
+)  # of high images, as these are stored for (6, 1) and (8, 3), it's the right side
+def test_orientation_is_applied_once(tmp_path: Path, orientation: int, turns: int, first_row: str) -> None:
     place = tmp_path / "captures" / "place"
     for n in range(6):
         write_photo(place / f"IMG_{n}.jpg", n, turns, Orientation=orientation)
     tables, images = imported(tmp_path)
     frames = tables["frames"]
     assert len(frames) == 6 and set(zip(frames["width"], frames["height"], strict=True)) == {(WIDTH, HEIGHT)}
-    assert (frames[["cx", "cy"]] == [WIDTH / 2, HEIGHT / 2]).all(axis=None)
+    assert (frames[["cx", "cy"]] == [WIDTH / 2, HEIGHT / 2]).all(axis=None) and set(frames["first_row"]) == {first_row}
     for n, data in enumerate(images):
         assert off(data, n) < 25
         with PIL.Image.open(io.BytesIO(data)) as shown:

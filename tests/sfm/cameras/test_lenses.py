@@ -43,3 +43,11 @@ def test_frames_share_a_lens_where_device_size_stated_lens_and_focal_length_are_
     assert len(names) == 3 and lens[0] == lens[2] and lens[1] == lens[3] and lens[4] == lens[5]
     assert len(set(lens[[0, 1, 4]])) == 3
     assert "phone, 640x480, focal length 0.38 widths" in names
+
+
+def test_portrait_and_landscape_images_share_a_lens() -> None:
+    frames = frames_of([[]] * 3)
+    frames.loc[1, ["width", "height"]] = 480, 640
+    frames.loc[2, ["width", "height"]] = 480, 480
+    lens, names = lenses_of(frames, {"walk": "phone"})
+    assert lens[0] == lens[1] != lens[2] and "phone, 640x480, focal length 0.75 widths" in names

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.geometry.shutter import readout_lines
 from groundwalk.sfm.cameras.adjustment import Adjusted, Bundle, CameraPriors, Cameras
 from groundwalk.sfm.quality.covariance import SHARED_ERRORS, Covariances, covariances
 
@@ -110,18 +111,43 @@ def test_residuals_that_hang_together_widen_what_images_tell_and_no_prior() -> N
     assert np.allclose(np.sqrt(np.diag(found.shared)), _EXACT, rtol=0.05)
 
 
+def test_a_principal_point_that_is_off_is_off_to_the_same_side_of_the_sensor_in_turned_images() -> None:
+    truth, rng = _ring_of_cameras(), np.random.default_rng(7)
+    xyz = rng.uniform(-1, 1, (_POINTS, 3))
+    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
+    observed_px = _project(truth, xyz, frame, point) + rng.normal(0, _NOISE_PX, (len(frame), 2))
+    upright = _covariances(Bundle(truth, xyz, frame, point, observed_px), centre_sd_px=150.0, focal_sd=0.1)
+    # Every second image a quarter turn clockwise: what was right is down, what was down is left.
+    turned = np.arange(_FRAMES) % 2 > 0
+    cam_R_turned = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    poses, seen_px = truth.copy(), observed_px.copy()
+    poses[turned, :3, :3] = truth[turned, :3, :3] @ cam_R_turned
+    middle, rows = np.array(_SIZE_PX) / 2, turned[frame]
+    seen_px[rows] = (observed_px[rows] - middle) @ cam_R_turned[:2, :2] + middle
+    bundle = Bundle(poses, xyz, frame, point, seen_px)
+    same = _covariances(bundle, turned, centre_sd_px=150.0, focal_sd=0.1)
+    without, other = _covariances(bundle, turned, focal_sd=0.1), _covariances(bundle, centre_sd_px=150.0, focal_sd=0.1)
+    assert upright is not None and same is not None and without is not None and other is not None
+    focal_sd, *others = (np.sqrt(found.shared[-1, -1]) for found in (upright, same, without, other))
+    assert others[0] == pytest.approx(focal_sd, rel=1e-6)
+    assert others[1] < 0.7 * focal_sd and abs(others[2] / focal_sd - 1) > 0.1
+
+
 def _covariance(bundle: Bundle) -> Array | None:
     """(N, 6, 6) of poses."""
     estimate = _covariances(bundle)
     return None if estimate is None else estimate.poses
 
 
-def _covariances(bundle: Bundle) -> Covariances | None:
-    """Of a model adjusted with pinhole cameras that are known exactly."""
+def _covariances(
+    bundle: Bundle, turned: np.ndarray | None = None, *, centre_sd_px: float = 0.0, focal_sd: float = _EXACT
+) -> Covariances | None:
+    """Of a model adjusted with pinhole cameras that are known exactly but for these; those of frames that are `turned`
+    (N,) by a quarter clockwise."""
     size = np.array(_SIZE_PX) / 2
     cameras = Cameras(
         np.tile([_FOCAL_PX, _FOCAL_PX, *size], (_FRAMES, 1)),
-        np.tile([0, 1 / _SIZE_PX[1], -0.5], (_FRAMES, 1)),
+        readout_lines(np.where(np.zeros(_FRAMES, bool) if turned is None else turned, "right", "top"), *_SIZE_PX),
         np.zeros(_FRAMES, int),
         np.zeros(_FRAMES, int),
         np.arange(_FRAMES, dtype=float),
@@ -133,7 +159,8 @@ def _covariances(bundle: Bundle) -> Covariances | None:
         np.zeros((_FRAMES, 3)),
     )
     one, rates = np.full(1, _EXACT), np.full((_FRAMES, 3), _EXACT)
-    priors = CameraPriors(cameras, _EXACT**2 * np.eye(4)[None], one, one, rates, np.zeros(1))
+    log_focal_sd, centre_sd = np.full(1, focal_sd), np.full(1, centre_sd_px)
+    priors = CameraPriors(cameras, _EXACT**2 * np.eye(4)[None], log_focal_sd, one, rates, centre_sd)
     adjusted = Adjusted(bundle, cameras, priors, _LOSS_PX, np.ones(len(bundle.xyz)))
     return covariances(adjusted)
 
