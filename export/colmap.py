@@ -3,12 +3,14 @@
 Each of SfM's models without a common view with the others has a separate folder: `sparse/1`, ...
 
 Format: https://colmap.github.io/format.html (world-to-camera poses, quaternions w first in text; pixel centres at 0.5,
-as ours). The world is the map: metric, +y up. Cameras are SfM's, one a frame, with its lens (OPENCV, or FULL_OPENCV
-where it has k3). Observations of points are without the effect of a rolling shutter, so they may lie pixels from the
-images' features; the images are as the phone took them. Where the map's place on earth is given out,
+as ours). The world is the map: metric, +y up. Cameras are those of the dataset: PINHOLE, OPENCV, or FULL_OPENCV with
+k3; equal ones of one device are one camera, with a rig of its own alone. Observations of points are without the effect
+of a rolling shutter, so they may lie pixels from the images' features; the images are as the phone took them, or
+undistorted, and the observations with them. Where the map's place on earth is given out,
 `geo_registration.txt` has each image's latitude, longitude and altitude, as `model_aligner --ref_is_gps 1` reads them.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -16,51 +18,97 @@ import numpy as np
 import pycolmap
 
 from groundwalk.export.dataset import Dataset, Images, SfmModel, number
+from groundwalk.geometry.cameras import Camera
 from groundwalk.store import UserError
+
+# Of OpenCV's coefficients, in its order, as in FULL_OPENCV.
+DISTORTION = 8
 
 
 def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool = False) -> list[str]:
     """Write the layout; returns the frames' image paths. Frames without ground truth aren't in the model."""
-    names: dict[str, str] = {}
+    names = dataset.image_names
     for index, sfm_model in enumerate(dataset.models):
-        model = model_in_map(sfm_model)
-        write_model(model, folder / "sparse" / str(index), text=text)
-        names |= names_by_frame(model)
-    ordered = [names[frame_id] for frame_id in dataset.frames["frame_id"]]
-    for split in ("train", "val", "test"):
-        named = zip(ordered, dataset.frames["split"], strict=True)
-        (folder / f"{split}.txt").write_text(
-            "".join(f"{name}\n" for name, of in named if of == split), encoding="utf-8"
-        )
+        write_model(model_in_map(dataset, sfm_model, names), folder / "sparse" / str(index), text=text)
+    write_splits(dataset, folder, names)
     if dataset.georeference is not None:
         _, _, geodetic = dataset.georeference.places(dataset.map_T_cam[:, :3, 3])
         # A place without altitude is on the ellipsoid to COLMAP.
-        rows = zip(ordered, np.nan_to_num(geodetic), strict=True)
+        rows = zip(names, np.nan_to_num(geodetic), strict=True)
         lines = [" ".join([name, *map(number, place)]) + "\n" for name, place in rows]
         (folder / "geo_registration.txt").write_text("".join(lines), encoding="utf-8")
-    for source, name in zip(dataset.images, ordered, strict=True):
-        source.place(folder / "images" / name, images)
-    return [f"images/{name}" for name in ordered]
+    return place_images(dataset, folder, names, images)
 
 
-def model_in_map(sfm_model: SfmModel) -> pycolmap.Reconstruction:
-    """One of SfM's models in the map, with the frames that it names alone. UserError where it lacks one of them."""
+def write_splits(dataset: Dataset, folder: Path, names: Sequence[str]) -> None:
+    """Write the names of each split's images, "" being none."""
+    for split in ("train", "val", "test"):
+        named = zip(names, dataset.frames["split"], strict=True)
+        (folder / f"{split}.txt").write_text(
+            "".join(f"{name}\n" for name, of in named if name and of == split), encoding="utf-8"
+        )
+
+
+def place_images(dataset: Dataset, folder: Path, names: Sequence[str], images: Images) -> list[str]:
+    """Write the images that have a name into `images/`; returns the paths, "" for the others."""
+    for source, name in zip(dataset.images, names, strict=True):
+        if name:
+            source.place(folder / "images" / name, images)
+    return [f"images/{name}" if name else "" for name in names]
+
+
+def model_in_map(dataset: Dataset, sfm_model: SfmModel, names: Sequence[str]) -> pycolmap.Reconstruction:
+    """One of SfM's models in the map, with the frames that it names alone, under their `names` and with the dataset's
+    cameras. Of images that are undistorted, observations beyond the image are left out, and points that have two at
+    most with them. UserError where SfM's model lacks one of the frames."""
     if not sfm_model.folder.is_dir():
         raise UserError("a SfM model is missing", where=sfm_model.folder, do="run the sfm stage again")
-    model = pycolmap.Reconstruction(sfm_model.folder)
+    found = pycolmap.Reconstruction(sfm_model.folder)
     to_map = sfm_model.map_S_sfm
-    model.transform(pycolmap.Sim3d(to_map.scale, pycolmap.Rotation3d(to_map.rotation), to_map.translation))
-    by_frame, exported = {_frame_id(image): image for image in model.images.values()}, set(sfm_model.frame_ids)
-    if missing := exported - by_frame.keys():
+    found.transform(pycolmap.Sim3d(to_map.scale, pycolmap.Rotation3d(to_map.rotation), to_map.translation))
+    by_frame = {unquote(str(Path(image.name).with_suffix(""))): image for image in found.images.values()}
+    if missing := set(sfm_model.frame_ids) - by_frame.keys():
         raise UserError(
             "a SfM model lacks frames that have ground truth",
             where=sfm_model.folder,
             found=f"{len(missing)} missing, such as {min(missing)}",
             do="run the sfm and align stages again",
         )
-    for frame_id, image in by_frame.items():
-        if frame_id not in exported:
-            model.deregister_frame(image.frame_id)
+    for frame_id in by_frame.keys() - set(sfm_model.frame_ids):
+        found.deregister_frame(by_frame[frame_id].frame_id)
+    row_of = {frame_id: row for row, frame_id in enumerate(dataset.frames["frame_id"])}
+    rows = [row_of[frame_id] for frame_id in sfm_model.frame_ids]
+    listed = [by_frame[frame_id] for frame_id in sfm_model.frame_ids]
+    model, ids = pycolmap.Reconstruction(), dict[tuple[str, Camera], int]()
+    cameras, devices = dataset.cameras, dataset.devices
+    pixels = []
+    for row, image in zip(rows, listed, strict=True):
+        key = (devices[row], cameras[row])
+        if key not in ids:
+            ids[key] = len(ids) + 1
+            name, parameters = colmap_camera(cameras[row])
+            size = {"width": cameras[row].width, "height": cameras[row].height}
+            camera = pycolmap.Camera(camera_id=ids[key], model=name, params=parameters, **size)
+            model.add_camera_with_trivial_rig(camera)
+        at = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
+        if dataset.images[row].undistorted is not None:
+            at = cameras[row].project(found.camera(image.camera_id).cam_from_img(at))
+            inside = ((at >= 0) & (at <= [cameras[row].width, cameras[row].height])).all(axis=1)
+            for index in np.flatnonzero(~inside):
+                if image.points2D[index].has_point3D():
+                    found.delete_observation(image.image_id, int(index))
+        pixels.append(at)
+    for row, image, at in zip(rows, listed, pixels, strict=True):
+        points = [pycolmap.Point2D(xy, of.point3D_id) for xy, of in zip(at, image.points2D, strict=True)]
+        copy = pycolmap.Image(
+            name=names[row],
+            points2D=pycolmap.Point2DList(points),
+            camera_id=ids[devices[row], cameras[row]],
+            image_id=image.image_id,
+        )
+        model.add_image_with_trivial_frame(copy, image.cam_from_world())
+    for point_id, point in found.points3D.items():
+        model.add_point3D_with_id(point_id, point)
     return model
 
 
@@ -70,10 +118,14 @@ def write_model(model: pycolmap.Reconstruction, folder: Path, *, text: bool = Fa
     (model.write_text if text else model.write_binary)(folder)
 
 
-def names_by_frame(model: pycolmap.Reconstruction) -> dict[str, str]:
-    """The names of a model's registered images, by frame."""
-    return {_frame_id(model.image(image_id)): model.image(image_id).name for image_id in model.reg_image_ids()}
+def colmap_camera(camera: Camera) -> tuple[str, list[float]]:
+    """COLMAP's model and its parameters."""
+    lens = list(np.trim_zeros(camera.distortion, "b"))
+    model, count = ("PINHOLE", 0) if not lens else ("OPENCV", 4) if len(lens) <= 4 else ("FULL_OPENCV", DISTORTION)
+    return model, [camera.fx, camera.fy, camera.cx, camera.cy, *lens, *[0.0] * (count - len(lens))]
 
 
-def _frame_id(image: pycolmap.Image) -> str:
-    return unquote(str(Path(image.name).with_suffix("")))
+def camera_fields(camera: Camera) -> list[str]:
+    """COLMAP's model, size and parameters, as text."""
+    model, parameters = colmap_camera(camera)
+    return [model, str(camera.width), str(camera.height), *map(number, parameters)]

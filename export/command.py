@@ -11,13 +11,23 @@ import numpy as np
 import pandas as pd
 import typer
 
-from groundwalk.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number, with_georeference
+from groundwalk.export.dataset import (
+    JPEG_QUALITY,
+    MAX_APART_PX,
+    Dataset,
+    Images,
+    load_dataset,
+    number,
+    with_georeference,
+)
+from groundwalk.export.dataset_card import people
 from groundwalk.export.exporters import EXPORTERS
 from groundwalk.runtime.bundle_file import MANIFEST
 from groundwalk.store import DataRoot, UserError, progress
 from groundwalk.store.cli import DataOption, ProfileOption
 from groundwalk.store.files import file_names, fresh_folder, refuse_to_overwrite, write_json
 from groundwalk.store.georeference import FILE
+from groundwalk.store.hints import setting_of
 from groundwalk.store.images import verify_images
 from groundwalk.store.inputs import held
 from groundwalk.store.tables import CAMERA_COLUMNS
@@ -107,8 +117,7 @@ def export(
             dataset = with_georeference(dataset, root.run(profile, scene, "align"))
         about = {"scene": scene, "profile": profile, "format": name, "licence": licence, "citation": citation}
         exporter = EXPORTERS.find(name)
-        if exporter.distortion_coefficients is not None:
-            dataset = dataset.without_distortion(exporter.distortion_coefficients)
+        dataset = exporter.with_its_cameras(dataset)
         with _export_folder(out, _NOTE, force=force) as folder:
             with EXPORTERS.guard(name):
                 placed = exporter.write(dataset, folder, images.value)
@@ -119,20 +128,31 @@ def export(
             refuse_changed()
             if reads_images:
                 verify_images(root.captures(scene), root.run(profile, scene, "import"))
-    excluded = len(dataset.excluded)
+    excluded, elsewhere = len(dataset.excluded), placed.count("") if reads_images else 0
     progress.console.print(
-        f"{scene} as {name}: {len(dataset.frames)} frames"
-        f"{f', {excluded} without ground truth excluded (see {_FRAMES})' if excluded else ''} → {out}",
+        f"{scene} as {name}: {len(dataset.frames) - elsewhere} frames"
+        f"{f', {excluded} without ground truth excluded (see {_FRAMES})' if excluded else ''}"
+        f"{f', {elsewhere} of further SfM models left out' if elsewhere else ''} → {out}",
         markup=False,
     )
+    said = []
     if undistorted := dataset.undistorted:
-        progress.console.print(
-            f"  {name} can't hold lens distortion: {undistorted} images undistorted, as those of pinholes"
-            f"{f', written as PNG or as JPEG of quality {JPEG_QUALITY}' if images is not ImagesOption.none else ''}",
-            markup=False,
+        written = f", written as PNG or as JPEG of quality {JPEG_QUALITY}" if reads_images else ""
+        said.append(
+            f"{undistorted} images undistorted, as those of pinholes, for {name}{written}; shutter left as it is"
+        )
+    if dataset.apart_px:
+        said.append(
+            f"one camera a frame: those of one device and lens differ by up to {dataset.apart_px:.1f} px in a "
+            f"corner of the image, more than {MAX_APART_PX} px (focus, stabilisation); format splat has one a device"
         )
     if dataset.simulated:
-        progress.console.print("  the captures are simulated, and export.json says so")
+        said.append("the captures are simulated, and export.json says so")
+    elif reads_images:
+        how = f" {setting_of('import', 'blur = true')} blurs them (docs/how-to/blur-faces.md)"
+        said.append(people(dataset) + how * bool(dataset.frames["blurred_faces"].isna().any()))
+    for line in said:
+        progress.console.print(f"  {line}", markup=False)
 
 
 def _export_regressor(
@@ -185,6 +205,7 @@ def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[
         **about,
         "simulated": dataset.simulated,
         "images": images,
+        "people": people(dataset) if images != "none" else None,
         "undistorted_images": dataset.undistorted,
         "jpeg_quality": JPEG_QUALITY if dataset.undistorted else None,
         "frames": len(frames),

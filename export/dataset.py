@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
+from urllib.parse import quote
 
 import cv2
 import numpy as np
@@ -36,6 +37,10 @@ Images = Literal["link", "copy", "none"]
 JPEG_QUALITY = 95
 # An estimated lens that moves no pixel further is none.
 _MAX_SHIFT_PX = 0.1
+# Cameras of one device and lens are one where it moves no corner of an image further than a feature is off.
+MAX_APART_PX = 0.5
+# Frames of one device and lens are seen by one pinhole where none of them loses more of its width to it.
+_MAX_CROP = 0.05
 _OF_GROUND_TRUTH = [
     *("frame_id", "quality", "reason", "component", "scale_source", "vertical_source"),
     *("covariance", "position_sd_m", "rotation_sd_deg"),
@@ -103,7 +108,7 @@ class Dataset:
     were stated in; None where no reference gave the map, (0, 0, 0) where these are the map's. `sessions` is import's
     table, `split_by` what decided its splits; `licence` and `citation` are what the user gives it out with.
     `georeference` is where on earth the map is, where the user gives that out, too; `reads_gps`: import read phones'
-    positions."""
+    positions. `apart_px` is by how much cameras of one device and lens that stay one a frame differ, at most."""
 
     frames: pd.DataFrame
     excluded: pd.DataFrame
@@ -119,6 +124,7 @@ class Dataset:
     citation: str = ""
     georeference: Georeference | None = None
     reads_gps: bool = False
+    apart_px: float = 0.0
 
     @property
     def world(self) -> str:
@@ -144,6 +150,22 @@ class Dataset:
         return found
 
     @property
+    def cameras(self) -> list[Camera]:
+        """The N cameras."""
+        return [camera_of(frame) for frame in self.frames.itertuples(index=False)]
+
+    @property
+    def devices(self) -> list[str]:
+        """(N,) what took each frame: the device, or the session where nothing says which."""
+        named = self.sessions.set_index("session_id")["device"].fillna("")
+        return [str(named[session_id] or session_id) for session_id in self.frames["session_id"]]
+
+    @property
+    def image_names(self) -> list[str]:
+        """(N,) `<session>/<number>` as file names."""
+        return [quote(i, safe="/") + s.suffix for i, s in zip(self.frames["frame_id"], self.images, strict=True)]
+
+    @property
     def undistorted(self) -> int:
         """How many images are written without distortion."""
         return sum(image.undistorted is not None for image in self.images)
@@ -155,28 +177,82 @@ class Dataset:
         alike; their poses stay. A lens that moves no corner of its image by 0.1 px is none. UserError where a frame's
         camera leaves no such pinhole.
         """
-        images, cameras = list(self.images), [camera_of(frame) for frame in self.frames.itertuples(index=False)]
+        images, cameras = list(self.images), self.cameras
         for row, camera in enumerate(cameras):
             if len(np.trim_zeros(camera.distortion, "b")) <= max_coefficients:
                 continue
             pinhole = replace(camera, distortion=())
-            corners = np.array([[x, y] for x in (0, camera.width) for y in (0, camera.height)], dtype=float)
-            shifts_px = np.linalg.norm(camera.project(pinhole.unproject(corners)) - corners, axis=1)
-            if shifts_px.max() <= _MAX_SHIFT_PX:
+            if _apart_px(camera, pinhole) <= _MAX_SHIFT_PX:
                 cameras[row] = pinhole
                 continue
-            try:
-                cameras[row] = pinhole_within(camera)
-            except GeometryError as error:
-                raise UserError(
-                    "an image can't be undistorted",
-                    where=self.frames["frame_id"].iloc[row],
-                    found=error,
-                    do="export as colmap, which holds the distortion, or check what the capture states of its lens",
-                ) from None
+            cameras[row] = self._pinhole(row, camera)
             images[row] = replace(images[row], undistorted=(camera, cameras[row]))
+        return self._with_cameras(cameras, images)
+
+    def with_pinholes(self) -> "Dataset":
+        """The dataset as centred pinholes took it, one a device, lens and image size: the shortest that sees nothing
+        beyond any of these images. Where one of them would lose more than 5 % of its width to it, as by a zoom, each
+        has its own. UserError where a frame's camera leaves no such pinhole."""
+        images, cameras = list(self.images), self.cameras
+        pinholes = [self._pinhole(row, camera) for row, camera in enumerate(cameras)]
+        for rows in self._lenses(cameras):
+            narrowest = max((pinholes[row] for row in rows), key=lambda pinhole: pinhole.fx)
+            if narrowest.fx * (1 - _MAX_CROP) <= min(pinholes[row].fx for row in rows):
+                for row in rows:
+                    pinholes[row] = narrowest
+        for row, (camera, pinhole) in enumerate(zip(cameras, pinholes, strict=True)):
+            # A captured image that is the pinhole's already stays as it is.
+            if _apart_px(camera, pinhole) > _MAX_SHIFT_PX:
+                images[row] = replace(images[row], undistorted=(camera, pinhole))
+        return self._with_cameras(pinholes, images)
+
+    def with_shared_cameras(self) -> "Dataset":
+        """Frames of one device, lens and image size get one camera, with the median focal lengths and principal point,
+        where it is at most 0.5 px from each of theirs in every corner. Otherwise each keeps its own, and `apart_px`
+        says how far they are apart."""
+        cameras, apart_px = self.cameras, 0.0
+        for rows in self._lenses(cameras):
+            middle = {
+                name: float(np.median([getattr(cameras[row], name) for row in rows])) for name in CAMERA_COLUMNS[:4]
+            }
+            shared = replace(cameras[rows[0]], **middle)
+            if (off_px := max(_apart_px(cameras[row], shared) for row in rows)) > MAX_APART_PX:
+                apart_px = max(apart_px, off_px)
+                continue
+            for row in rows:
+                cameras[row] = shared
+        return replace(self._with_cameras(cameras, self.images), apart_px=apart_px)
+
+    def _lenses(self, cameras: list[Camera]) -> list[list[int]]:
+        """Rows of frames of one device, lens and image size."""
+        found: dict[Any, list[int]] = {}
+        for row, (device, camera) in enumerate(zip(self.devices, cameras, strict=True)):
+            found.setdefault((device, camera.width, camera.height, camera.distortion), []).append(row)
+        return list(found.values())
+
+    def _pinhole(self, row: int, camera: Camera) -> Camera:
+        try:
+            return pinhole_within(camera)
+        except GeometryError as error:
+            raise UserError(
+                "an image can't be undistorted",
+                where=self.frames["frame_id"].iloc[row],
+                found=error,
+                do="export as colmap, which holds the distortion, or check what the capture states of its lens",
+            ) from None
+
+    def _with_cameras(self, cameras: list[Camera], images: list[ImageSource]) -> "Dataset":
         columns = {name: [getattr(camera, name) for camera in cameras] for name in CAMERA_COLUMNS}
         return replace(self, frames=self.frames.assign(**columns), images=images)
+
+
+def _apart_px(camera: Camera, other: Camera) -> float:
+    """How far from the corners of `other`'s image `camera` sees what is there, at most; inf where `other` sees none."""
+    if camera == other:
+        return 0.0
+    corners = np.array([[x, y] for x in (0, other.width) for y in (0, other.height)], dtype=float)
+    off_px = np.linalg.norm(camera.project(other.unproject(corners)) - corners, axis=1)
+    return float(np.nan_to_num(off_px, nan=np.inf).max())
 
 
 def world_of(truth: pd.DataFrame) -> str:

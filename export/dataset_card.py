@@ -1,5 +1,6 @@
 """What a data set says of itself, by what import, sfm and align wrote: a card for people, Croissant for programs."""
 
+from collections import Counter
 from collections.abc import Mapping
 from datetime import date
 from pathlib import Path
@@ -45,7 +46,9 @@ _LISTS = ("distortion", "position", "quaternion", "covariance")
 
 def card(dataset: Dataset, files: Mapping[str, int], columns: Mapping[str, str]) -> str:
     """README.md with the hub's YAML at its top; `files` are frames by file."""
-    splits = {Path(path).name.split("-")[0]: count for path, count in files.items()}
+    splits = Counter[str]()
+    for path, count in files.items():
+        splits[_split_of(path)] += count
     listed = "\n".join(f"  - split: {name}\n    path: data/{name}-*.parquet" for name in splits)
     reasons = dataset.excluded["reason"].value_counts()
     refused = "".join(f"\n- {count}: {reason}" for reason, count in reasons.items()) or "\n- none"
@@ -114,16 +117,25 @@ def croissant(dataset: Dataset, folder: Path, files: Mapping[str, int], columns:
     """Croissant 1.0 as JSON-LD: the files, a record set a split, and what the extension for responsible AI asks for."""
     distribution, record_sets = [], []
     for path in files:
-        split = Path(path).name.split("-")[0]
         distribution.append(
             {
                 "@type": "cr:FileObject",
                 "@id": path,
-                "name": split,
+                "name": Path(path).stem,
                 "contentUrl": path,
                 "encodingFormat": "application/x-parquet",
                 "contentSize": f"{(folder / path).stat().st_size} B",
                 "sha256": sha256_of(folder / path),
+            }
+        )
+    for split in dict.fromkeys(map(_split_of, files)):
+        distribution.append(
+            {
+                "@type": "cr:FileSet",
+                "@id": f"{split}-files",
+                "name": f"{split}-files",
+                "encodingFormat": "application/x-parquet",
+                "includes": f"data/{split}-*.parquet",
             }
         )
         record_sets.append(
@@ -131,7 +143,7 @@ def croissant(dataset: Dataset, folder: Path, files: Mapping[str, int], columns:
                 "@type": "cr:RecordSet",
                 "@id": split,
                 "name": split,
-                "field": [_field(split, path, name, text) for name, text in columns.items()],
+                "field": [_field(split, name, text) for name, text in columns.items()],
             }
         )
     return {
@@ -158,7 +170,11 @@ def croissant(dataset: Dataset, folder: Path, files: Mapping[str, int], columns:
     }
 
 
-def _field(split: str, path: str, name: str, text: str) -> dict[str, Any]:
+def _split_of(path: str) -> str:
+    return Path(path).name.split("-")[0]
+
+
+def _field(split: str, name: str, text: str) -> dict[str, Any]:
     return {
         "@type": "cr:Field",
         "@id": f"{split}/{name}",
@@ -167,7 +183,7 @@ def _field(split: str, path: str, name: str, text: str) -> dict[str, Any]:
         "dataType": _TYPES.get(name, "sc:Text" if name in _TEXT else "sc:Float"),
         **({"repeated": True} if name in _LISTS else {}),
         "source": {
-            "fileObject": {"@id": path},
+            "fileSet": {"@id": f"{split}-files"},
             "extract": {"column": name},
             **({"transform": {"jsonPath": "bytes"}} if name == "image" else {}),
         },
@@ -202,10 +218,11 @@ def _quality(dataset: Dataset) -> str:
 
 
 def _privacy(dataset: Dataset) -> str:
-    return f"{_people(dataset)} {_places(dataset)}"
+    return f"{people(dataset)} {_places(dataset)}"
 
 
-def _people(dataset: Dataset) -> str:
+def people(dataset: Dataset) -> str:
+    """Whether people who are in the images were looked for."""
     looked = dataset.frames["blurred_faces"].notna()
     if dataset.simulated:
         return "The images show a simulated place without people."

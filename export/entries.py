@@ -2,14 +2,17 @@
 
 from functools import partial
 
-from groundwalk.export import kapture
 from groundwalk.export.cambridge import write_cambridge
+from groundwalk.export.colmap import DISTORTION as OF_COLMAP
 from groundwalk.export.colmap import write_colmap
+from groundwalk.export.euroc import write_euroc
 from groundwalk.export.exporters import Exporter
 from groundwalk.export.hloc import write_hloc
 from groundwalk.export.huggingface import write_huggingface
+from groundwalk.export.kapture import write_kapture
 from groundwalk.export.nerfstudio import DISTORTION, write_nerfstudio
 from groundwalk.export.seven_scenes import write_seven_scenes
+from groundwalk.export.splat import write_splat
 from groundwalk.export.tum import write_tum
 
 COLMAP = Exporter(
@@ -17,14 +20,16 @@ COLMAP = Exporter(
     label="COLMAP",
     meaning="COLMAP's binary model beside images/",
     write=write_colmap,
-    distortion_coefficients=None,
+    distortion_coefficients=OF_COLMAP,
+    cameras="alike",
 )
 COLMAP_TEXT = Exporter(
     id="colmap-text",
     label="COLMAP, text",
     meaning="COLMAP's text model beside images/",
     write=partial(write_colmap, text=True),
-    distortion_coefficients=None,
+    distortion_coefficients=OF_COLMAP,
+    cameras="alike",
 )
 TUM = Exporter(
     id="tum",
@@ -40,6 +45,14 @@ NERFSTUDIO = Exporter(
     write=write_nerfstudio,
     distortion_coefficients=len(DISTORTION),
 )
+SPLAT = Exporter(
+    id="splat",
+    label="Gaussian splatting",
+    meaning="undistorted images with COLMAP's model, points.ply and transforms.json",
+    write=write_splat,
+    distortion_coefficients=0,
+    cameras="pinhole",
+)
 SEVEN_SCENES = Exporter(
     id="7scenes",
     label="7-Scenes",
@@ -54,19 +67,29 @@ CAMBRIDGE = Exporter(
     write=write_cambridge,
     distortion_coefficients=0,
 )
+EUROC = Exporter(
+    id="euroc",
+    label="EuRoC",
+    meaning="mav0/cam0 with undistorted images and ground truth for each session",
+    write=write_euroc,
+    distortion_coefficients=0,
+    cameras="pinhole",
+)
 HLOC = Exporter(
     id="hloc",
     label="hloc",
     meaning="a reference model and lists of queries for hloc's scripts",
     write=write_hloc,
-    distortion_coefficients=None,
+    distortion_coefficients=OF_COLMAP,
+    cameras="alike",
 )
 KAPTURE = Exporter(
     id="kapture",
     label="kapture",
     meaning="kapture 1.1, one of the frames for mapping and one of the queries",
-    write=kapture.write_kapture,
-    distortion_coefficients=kapture.DISTORTION,
+    write=write_kapture,
+    distortion_coefficients=OF_COLMAP,
+    cameras="alike",
 )
 HUGGINGFACE = Exporter(
     id="huggingface",

@@ -8,8 +8,9 @@ height and parameters; a pose is world to camera, quaternion w first). The world
 from dataclasses import replace
 from pathlib import Path
 
-from groundwalk.export.colmap import model_in_map, names_by_frame, write_model
+from groundwalk.export.colmap import camera_fields, model_in_map, place_images, write_model
 from groundwalk.export.dataset import Dataset, Images, number
+from groundwalk.geometry.poses import inverse, tq_from_pose
 from groundwalk.store import UserError
 from groundwalk.store.hints import setting_of
 
@@ -26,22 +27,17 @@ def write_hloc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
             found=f"{len(queries)} test frames and {len(reference)} others in the largest model",
             do=f"split the scene: {setting_of('import', 'split_by')}",
         )
-    write_model(model_in_map(replace(largest, frame_ids=reference)), folder / "reference")
-    model = model_in_map(largest)
-    names, by_name = names_by_frame(model), {image.name: image for image in model.images.values()}
+    names = dataset.image_names
+    write_model(model_in_map(dataset, replace(largest, frame_ids=reference), names), folder / "reference")
     cameras, poses = list[str](), list[str]()
-    for name in (names[frame_id] for frame_id in queries):
-        image = by_name[name]
-        camera, cam_T_map = model.camera(image.camera_id), image.cam_from_world()
-        size = f"{camera.width} {camera.height}"
-        cameras.append(" ".join([name, camera.model.name, size, *map(number, camera.params)]))
-        x, y, z, w = cam_T_map.rotation.quat
-        poses.append(" ".join([name, *map(number, (w, x, y, z, *cam_T_map.translation))]))
+    position, quaternion = tq_from_pose(inverse(dataset.map_T_cam))
+    all_cameras, row_of = dataset.cameras, {frame_id: row for row, frame_id in enumerate(dataset.frames["frame_id"])}
+    for row in (row_of[frame_id] for frame_id in queries):
+        cameras.append(" ".join([names[row], *camera_fields(all_cameras[row])]))
+        x, y, z, w = quaternion[row]
+        poses.append(" ".join([names[row], *map(number, (w, x, y, z, *position[row]))]))
     for file, lines in (("queries_with_intrinsics.txt", cameras), ("queries_poses.txt", poses)):
         (folder / file).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
-    placed = []
-    for source, frame_id in zip(dataset.images, dataset.frames["frame_id"], strict=True):
-        placed.append(f"images/{names[frame_id]}" if frame_id in names else "")
-        if placed[-1]:
-            source.place(folder / placed[-1], images)
-    return placed
+    of_largest = dataset.frames["frame_id"].isin(largest.frame_ids)
+    listed = [name if is_in else "" for name, is_in in zip(names, of_largest, strict=True)]
+    return place_images(dataset, folder, listed, images)

@@ -1,4 +1,4 @@
-"""Hugging Face: a Parquet file a split with the images inside, a dataset card `README.md`, and Croissant metadata.
+"""Hugging Face: Parquet files of 500 MB at most with the images inside, a dataset card `README.md`, Croissant metadata.
 
 Formats: https://huggingface.co/docs/datasets/image_dataset#parquet, https://huggingface.co/docs/hub/datasets-cards,
 https://docs.mlcommons.org/croissant/docs/croissant-spec-1.0.html with its extension for responsible AI. Images are as
@@ -6,12 +6,14 @@ the phone took them, without EXIF, or as import blurred them; lens, covariance a
 """
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from groundwalk.export.dataset import Dataset, Images, ImageSource
 from groundwalk.export.dataset_card import card, croissant
@@ -42,6 +44,10 @@ COLUMNS = {
 }
 # Rows that are in memory at a time, with their images.
 _ROWS = 64
+# As the hub shards a split.
+_MAX_SHARD_BYTES = 500_000_000
+# More than a row takes without its image.
+_ROW_BYTES = 2_000
 
 
 def write_huggingface(dataset: Dataset, folder: Path, images: Images) -> list[str]:
@@ -70,27 +76,42 @@ def write_huggingface(dataset: Dataset, folder: Path, images: Images) -> list[st
         rows = np.flatnonzero(table["split"] == split)
         if not len(rows):
             continue
-        path = f"data/{name}-00000-of-00001.parquet"
-        files[path] = len(rows)
-        with pq.ParquetWriter(folder / path, fields) as writer:
-            for some in np.array_split(rows, -(-len(rows) // _ROWS)):
-                part = columns.take(pa.array(some))
-                if images != "none":
-                    encoded = [_encoded(dataset.images[row], dataset.frames["frame_id"].iloc[row]) for row in some]
-                    part = part.append_column(fields.field("image"), pa.array(encoded, fields.field("image").type))
-                writer.write_table(part.cast(fields))
-        if images != "none":
-            for row in rows:
-                placed[row] = path
+        shards = _shards(rows, dataset.images if images != "none" else [])
+        for number, shard in enumerate(shards):
+            path = f"data/{name}-{number:05d}-of-{len(shards):05d}.parquet"
+            files[path] = len(shard)
+            with pq.ParquetWriter(folder / path, fields) as writer:
+                for some in np.array_split(shard, -(-len(shard) // _ROWS)):
+                    part = columns.take(pa.array(some))
+                    if images != "none":
+                        encoded = [_encoded(dataset.images[row], dataset.frames["frame_id"].iloc[row]) for row in some]
+                        part = part.append_column(fields.field("image"), pa.array(encoded, fields.field("image").type))
+                    writer.write_table(part.cast(fields))
+            if images != "none":
+                for row in shard:
+                    placed[row] = path
     described = COLUMNS | ({"image": "the image as captured, or as blurred"} if images != "none" else {})
     (folder / "README.md").write_text(card(dataset, files, described), encoding="utf-8")
     write_json(folder / "croissant.json", croissant(dataset, folder, files, described))
     return placed
 
 
-def _encoded(source: ImageSource, frame_id: str) -> dict[str, bytes | str]:
+def _shards(rows: NDArray[np.int64], images: Sequence[ImageSource]) -> list[NDArray[np.int64]]:
+    """The rows in parts, in order, each of which takes 500 MB at most as Parquet unless a single image takes more."""
+    sizes = np.array([_size(images[row]) + _ROW_BYTES if images else _ROW_BYTES for row in rows])
+    before = np.cumsum(sizes) - sizes
+    room = max(_MAX_SHARD_BYTES - sizes.max(), 1)
+    _, starts = np.unique(before // room, return_index=True)
+    return np.split(rows, starts[1:])
+
+
+def _size(source: ImageSource) -> int:
     if not source.file.is_file():
         raise UserError("an image is missing", where=source.file, do="import the scene again")
+    return source.file.stat().st_size
+
+
+def _encoded(source: ImageSource, frame_id: str) -> dict[str, bytes | str]:
     return {"bytes": without_metadata(source.file.read_bytes()), "path": f"{frame_id}{source.suffix}"}
 
 

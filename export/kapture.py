@@ -10,32 +10,28 @@ from urllib.parse import quote
 
 import numpy as np
 
+from groundwalk.export.colmap import camera_fields
 from groundwalk.export.dataset import Dataset, Images, number
-from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import inverse, tq_from_pose
-from groundwalk.store.tables import camera_of
 
-# Of OpenCV's coefficients, in its order, as in COLMAP's FULL_OPENCV.
-DISTORTION = 8
 _VERSION = "# kapture format: 1.1"
 
 
 def write_kapture(dataset: Dataset, folder: Path, images: Images) -> list[str]:
     """Write the layout; returns the frames' image paths."""
     frames, placed = dataset.frames, [""] * len(dataset.frames)
-    cameras = [_camera(camera_of(frame)) for frame in frames.itertuples(index=False)]
+    cameras, names = [", ".join(camera_fields(camera)) for camera in dataset.cameras], dataset.image_names
     position, quaternion = tq_from_pose(inverse(dataset.map_T_cam))
     for name, in_part in (("mapping", ~dataset.in_test), ("query", dataset.in_test)):
         rows, sensors, poses, records = np.flatnonzero(in_part), dict[str, str](), list[str](), list[str]()
         for row in rows:
-            frame_id, session_id = frames["frame_id"].iloc[row], frames["session_id"].iloc[row]
+            session_id = frames["session_id"].iloc[row]
             # Frames share a camera where focus and lens stayed the same.
             device = sensors.setdefault(f"{session_id}\n{cameras[row]}", f"{quote(session_id, safe='')}-{len(sensors)}")
             x, y, z, w = quaternion[row]
             poses.append(", ".join([str(row), device, *map(number, (w, x, y, z, *position[row]))]))
-            image = f"{quote(frame_id, safe='/')}{dataset.images[row].suffix}"
-            records.append(f"{row}, {device}, {image}")
-            placed[row] = f"{name}/sensors/records_data/{image}"
+            records.append(f"{row}, {device}, {names[row]}")
+            placed[row] = f"{name}/sensors/records_data/{names[row]}"
             dataset.images[row].place(folder / placed[row], images)
         if not len(rows):
             continue
@@ -50,11 +46,3 @@ def write_kapture(dataset: Dataset, folder: Path, images: Images) -> list[str]:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text("\n".join([_VERSION, *head, *lines]) + "\n", encoding="utf-8")
     return placed
-
-
-def _camera(camera: Camera) -> str:
-    """COLMAP's model, size and parameters."""
-    lens = list(np.trim_zeros(camera.distortion, "b"))
-    model, count = ("PINHOLE", 0) if not lens else ("OPENCV", 4) if len(lens) <= 4 else ("FULL_OPENCV", DISTORTION)
-    parameters = [camera.fx, camera.fy, camera.cx, camera.cy, *lens, *[0.0] * (count - len(lens))]
-    return ", ".join([model, str(camera.width), str(camera.height), *map(number, parameters)])

@@ -53,8 +53,8 @@ BUILTIN: dict[str, dict[str, str]] = {
         **_records("fusion.methods.entries", "drift_aware", "smoother", "vio_oracle"),
     },
     "groundwalk.exporters": {
-        **_records("export.entries", "colmap", "colmap-text", "tum", "nerfstudio"),
+        **_records("export.entries", "colmap", "colmap-text", "tum", "nerfstudio", "splat"),
         "7scenes": "groundwalk.export.entries:SEVEN_SCENES",
-        **_records("export.entries", "cambridge", "hloc", "kapture", "huggingface"),
+        **_records("export.entries", "cambridge", "euroc", "hloc", "kapture", "huggingface"),
     },
 }

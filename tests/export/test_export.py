@@ -9,6 +9,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import open3d
 import pandas as pd
 import pycolmap
 import pytest
@@ -18,14 +19,14 @@ from typer.testing import CliRunner
 from groundwalk.alignment.definition import STAGE
 from groundwalk.capture_import.capture import Limits, RawFrame, Recording
 from groundwalk.capture_import.discovery import find_recordings
-from groundwalk.export import command
+from groundwalk.export import command, huggingface
 from groundwalk.export.__main__ import app
-from groundwalk.export.dataset import load_dataset
+from groundwalk.export.colmap import camera_fields
+from groundwalk.export.dataset import Dataset, load_dataset
 from groundwalk.export.dataset_card import _privacy
 from groundwalk.export.exporters import EXPORTERS
 from groundwalk.export.hloc import write_hloc
 from groundwalk.export.huggingface import _encoded
-from groundwalk.export.kapture import _camera
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.earth import ENU_R_YUP, enu_of
 from groundwalk.geometry.fits import Sim3
@@ -110,12 +111,17 @@ def _model(frames: pd.DataFrame, sfm_T_cam: Array) -> pycolmap.Reconstruction:
 
 
 def _export(scene: DataRoot, name: str, *options: str) -> Path:
+    return _exported(scene, name, *options)[0]
+
+
+def _exported(scene: DataRoot, name: str, *options: str) -> tuple[Path, str]:
+    """The folder, and what the command said, as one line."""
     out = scene.root.parent / "out" / name
     arguments = ["--scene", "Place", "--profile", "tiny", "--data", str(scene.root), "--format", name]
     arguments += ["--licence", "cc-by-4.0"]
     done = CliRunner().invoke(app, [*arguments, "--out", str(out), *options], catch_exceptions=False)
     assert done.exit_code == 0, done.output
-    return out
+    return out, " ".join(done.output.split())
 
 
 def _truth(scene: DataRoot) -> pd.DataFrame:
@@ -146,9 +152,12 @@ def test_colmap_reads_its_model_in_the_map(scene: DataRoot, name: str) -> None:
     for image in model.images.values():
         assert (out / "images" / image.name).is_file()
         row = truth.loc[frame_of[f"images/{image.name}"]]
-        expected = [row["fx"], row["fy"], row["cx"], row["cy"], *row["distortion"]]
-        np.testing.assert_allclose(model.camera(image.camera_id).params, expected, atol=1e-6)
+        assert model.camera(image.camera_id).model.name == "PINHOLE"
+        np.testing.assert_allclose(model.camera(image.camera_id).params, row[["fx", "fy", "cx", "cy"]].to_numpy(float))
     _assert_same(scene, found)
+    # As COLMAP says that no cameras are tied together.
+    assert len(model.frames) == len(model.images) and len(model.rigs) == len(model.cameras)
+    assert all(rig.num_sensors() == 1 for rig in model.rigs.values())
     # The points came along: each lies ahead of its first camera, 0.4 SfM units in metres.
     figures = json.loads((scene.run("tiny", "Place", "align") / "manifest.json").read_text())["figures"]
     for point in model.points3D.values():
@@ -211,8 +220,8 @@ def test_hloc_gets_a_reference_and_queries(scene: DataRoot) -> None:
         frame_id = frame_of[f"images/{name}"]
         row = truth.loc[frame_id]
         assert same == name and split[frame_id] == "test" and (out / "images" / name).is_file()
-        assert (model, int(width), int(height)) == ("OPENCV", *frames.loc[frame_id, ["width", "height"]])
-        expected = [row["fx"], row["fy"], row["cx"], row["cy"], *row["distortion"]]
+        assert (model, int(width), int(height)) == ("PINHOLE", *frames.loc[frame_id, ["width", "height"]])
+        expected = [row["fx"], row["fy"], row["cx"], row["cy"]]
         np.testing.assert_allclose(np.array(params, float), expected, atol=1e-6)
         quaternion = np.array([qx, qy, qz, qw], float)
         found[frame_id] = inverse(pose_from_tq(np.array(translation, float), quaternion))
@@ -245,13 +254,44 @@ def test_kapture_is_two_data_sets_by_its_definition(scene: DataRoot) -> None:
     _assert_same(scene, found)
 
 
+def _with_focal_lengths(scene: DataRoot, spread_px: float) -> Dataset:
+    """As one phone took it, with focal lengths that differ by at most this."""
+    dataset = load_dataset(scene, "tiny", "Place", reads_images=False)
+    focal_px = 1400 + np.linspace(0, spread_px, FRAMES)
+    same = {"cx": 960.0, "cy": 720.0, "fx": focal_px, "fy": focal_px}
+    return replace(dataset, frames=dataset.frames.assign(**same), sessions=dataset.sessions.assign(device="A phone"))
+
+
+def test_frames_of_a_device_share_a_camera_where_no_corner_moves_by_half_a_pixel(scene: DataRoot) -> None:
+    """A corner is 1,200 px from the middle: 0.5 px of it are 0.58 px of a focal length of 1,400."""
+    near = EXPORTERS.find("colmap").with_its_cameras(_with_focal_lengths(scene, 2 * 0.57))
+    assert len(set(near.cameras)) == 1 and near.apart_px == 0
+    assert near.cameras[0].fx == pytest.approx(1400.57)
+    far = EXPORTERS.find("colmap").with_its_cameras(_with_focal_lengths(scene, 2 * 0.60))
+    assert len(set(far.cameras)) == FRAMES and 0.5 < far.apart_px < 0.52
+    for name in ("colmap", "hloc", "kapture"):
+        out = scene.root / name
+        out.mkdir()
+        EXPORTERS.find(name).write(near, out, "none")
+        if name == "kapture":
+            sensors = (out / "mapping" / "sensors" / "sensors.txt").read_text().splitlines()
+            assert len([line for line in sensors if not line.startswith("#")]) == 1
+            continue
+        model = pycolmap.Reconstruction(out / ("reference" if name == "hloc" else "sparse/0"))
+        assert len(model.cameras) == len(model.rigs) == 1 < len(model.images) == len(model.frames)
+
+
+def test_a_zoomed_image_keeps_a_pinhole_of_its_own(scene: DataRoot) -> None:
+    assert len({camera.fx for camera in _with_focal_lengths(scene, 60).with_pinholes().cameras}) == 1
+    assert len({camera.fx for camera in _with_focal_lengths(scene, 80).with_pinholes().cameras}) == FRAMES
+
+
 def test_kapture_has_colmaps_lenses() -> None:
     lens = (0.1, -0.2, 0.003, 0.004)
-    assert _camera(Camera(64, 48, 50.0, 51.0, 32.0, 24.0, lens)) == (
-        "OPENCV, 64, 48, 50.0, 51.0, 32.0, 24.0, 0.1, -0.2, 0.003, 0.004"
-    )
-    full = _camera(Camera(64, 48, 50.0, 51.0, 32.0, 24.0, (*lens, 0.5)))
-    assert full.startswith("FULL_OPENCV, 64") and full.endswith("0.003, 0.004, 0.5, 0.0, 0.0, 0.0")
+    opencv = camera_fields(Camera(64, 48, 50.0, 51.0, 32.0, 24.0, lens))
+    assert ", ".join(opencv) == "OPENCV, 64, 48, 50.0, 51.0, 32.0, 24.0, 0.1, -0.2, 0.003, 0.004"
+    full = camera_fields(Camera(64, 48, 50.0, 51.0, 32.0, 24.0, (*lens, 0.5)))
+    assert full[:2] == ["FULL_OPENCV", "64"] and full[-5:] == ["0.004", "0.5", "0.0", "0.0", "0.0"]
 
 
 def test_where_on_earth_the_map_is_is_given_out_only_where_it_is_asked_for(scene: DataRoot) -> None:
@@ -305,6 +345,20 @@ def test_a_card_says_of_people_and_places_what_is_so(scene: DataRoot) -> None:
     assert "34 faces and 0 licence plates" in said and "5 images were not searched" in said
 
 
+@pytest.mark.parametrize("name", EXPORTERS)
+def test_whether_people_were_looked_for_is_said_of_every_export_with_images(scene: DataRoot, name: str) -> None:
+    _give_lens(scene, LENS)
+    note_outputs(scene.run("tiny", "Place", "align"), simulated=False)
+    out, said = _exported(scene, name)
+    assert "people who are in the images can be recognised. [import] blur = true in" in said
+    assert "can be recognised" in json.loads((out / "export.json").read_text())["people"]
+    assert "recognised" not in _exported(scene, name, "--images", "none", "--force")[1]
+    frames = table_of(scene, "Place", "import", "frames")
+    put(scene, "Place", "import", "frames", frames.assign(blurred_faces=1.0, blurred_plates=0.0))
+    said = _exported(scene, name, "--force")[1]
+    assert f"{FRAMES} faces and 0 licence plates were blurred" in said and "blur = true" not in said
+
+
 def test_copied_and_embedded_images_carry_no_place(scene: DataRoot) -> None:
     """A photo's EXIF may say where it was taken."""
     dataset = load_dataset(scene, "tiny", "Place", reads_images=False)
@@ -326,6 +380,36 @@ def test_hloc_without_test_frames_and_a_data_set_without_a_licence_are_refused(s
     assert "--licence cc-by-4.0" in str(refused.value.details["do"])
     out = scene.root.parent / "out"
     assert not out.exists() or not list(out.iterdir())
+
+
+def test_evo_and_our_importer_read_euroc(scene: DataRoot) -> None:
+    points = _give_lens(scene, LENS)
+    out = _export(scene, "euroc", "--images", "copy")
+    frame_of, truth, found = _frame_of(out), _truth(scene), {}
+    for session in _sessions(out):
+        assert not session.rejects and session.pose_source == "reference" and len(session.frames) in (19, 20)
+        assert len({there(raw.intrinsics) for raw in session.frames}) == 1
+        for raw in session.frames:
+            image, camera = _path(raw), there(raw.intrinsics)
+            frame_id = frame_of[image.relative_to(out).as_posix()]
+            found[frame_id] = there(raw.vio_T_cam)
+            K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+            assert not any(camera.distortion) and image.stem == str(truth.loc[frame_id, "t_ns"])
+            assert _dots_off_px(image, found[frame_id], K, points[frame_id]) < 0.2
+    _assert_same(scene, found)
+    path = out / "walk0" / "mav0" / "state_groundtruth_estimate0" / "data.csv"
+    trajectory = file_interface.read_euroc_csv_trajectory(str(path))
+    walk0 = truth[truth["session_id"] == "walk0"]
+    np.testing.assert_allclose(trajectory.timestamps, walk0["t_ns"] / 1e9, atol=1e-6)
+    # Its world has +z up.
+    positions = poses_of(walk0, "map_cam")[:, :3, 3]
+    np.testing.assert_allclose(trajectory.positions_xyz, positions[:, [0, 2, 1]] * [1, -1, 1], atol=1e-9)
+
+    gt = table_of(scene, "Place", "align", "ground_truth")
+    gt["fx"] *= np.where(np.arange(len(gt)) % 2, 1.3, 1.0)
+    rewrite(scene, "Place", "align", "ground_truth", gt)
+    with pytest.raises(UserError, match="one camera a session"):
+        _export(scene, "euroc", "--force")
 
 
 def test_evo_reads_tum(scene: DataRoot) -> None:
@@ -434,7 +518,11 @@ def test_frames_without_ground_truth_are_left_out_and_listed(scene: DataRoot, na
     assert listed.loc[UNREGISTERED, ["image", "quality"]].to_numpy().tolist() == ["", "none"]
     assert "register" in cell(listed, UNREGISTERED, "reason")
     columns, truth = ["fx", "fy", "cx", "cy"], _truth(scene)  # for formats that have no place for them
-    assert (listed.loc[truth.index, columns].astype(float) == truth[columns]).all(axis=None)
+    cameras = listed.loc[truth.index, columns].astype(float)
+    if EXPORTERS.find(name).cameras == "pinhole":
+        assert (cameras[["cx", "cy"]] == [960, 720]).all(axis=None) and (cameras["fx"] == cameras["fy"]).all()
+    else:
+        assert (cameras == truth[columns]).all(axis=None)
     assert (listed.loc[truth.index, ["width", "height"]].astype(int) == [1920, 1440]).all(axis=None)
     assert not [p for p in out.rglob("*") if p.suffix in (".jpg", ".png")]
 
@@ -509,6 +597,7 @@ def test_what_is_exported_is_held_and_the_same_at_the_end(
 
 def test_an_export_that_fails_leaves_nothing_behind(scene: DataRoot, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("groundwalk.export.dataset.verify_images", lambda *_: None)  # and then an image goes
+    _give_lens(scene, LENS)
     _image(scene, "walk1/000019").unlink()
     for name in EXPORTERS:
         with pytest.raises(UserError, match="image is missing"):
@@ -589,6 +678,82 @@ def test_formats_without_distortion_get_images_of_pinholes(scene: DataRoot, name
     _assert_same(scene, found)
 
 
+@pytest.fixture
+def with_lens(scene: DataRoot) -> DataRoot:
+    """Images of dots through a lens, and a SfM model of these dots and one beyond what an undistorted image shows: each
+    is a point that its frame sees, alone."""
+    points = _give_lens(scene, LENS)
+    sessions = table_of(scene, "Place", "import", "sessions")
+    put(scene, "Place", "import", "sessions", sessions.assign(device="A phone"))
+    truth, dataset = _truth(scene), load_dataset(scene, "tiny", "Place", reads_images=False)
+    model, to_map = pycolmap.Reconstruction(), dataset.models[0].map_S_sfm
+    for row, (frame_id, pose) in enumerate(zip(truth.index, to_map.inverse().poses(dataset.map_T_cam), strict=True), 1):
+        frame = truth.loc[frame_id]
+        params = [*frame[["fx", "fy", "cx", "cy"]], *LENS]
+        camera = pycolmap.Camera(camera_id=row, model="OPENCV", width=SIZE[0], height=SIZE[1], params=params)
+        model.add_camera_with_trivial_rig(camera)
+        lens = Camera(*SIZE, *params[:4], LENS)
+        corner = lens.unproject(np.array([[1.0, 1.0]]))
+        beyond = transform(dataset.map_T_cam[row - 1], [[*corner[0], 1.0]])
+        pixels = lens.project(np.vstack([SEEN, corner]))
+        image = pycolmap.Image(name=f"{frame_id}.jpg", keypoints=pixels, camera_id=row, image_id=row)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(inverse(pose)[:3]))
+        for number, xyz in enumerate(to_map.inverse().points([*points[str(frame_id)], *beyond])):
+            model.add_point3D(xyz, pycolmap.Track([pycolmap.TrackElement(row, number)]), [row, number, 7])
+    model.write_binary(scene.run("tiny", "Place", "sfm") / "model")
+    sfm, align = (scene.run("tiny", "Place", stage) for stage in ("sfm", "align"))
+    note_outputs(sfm)
+    note_outputs(align, inputs=load_manifest(align)["inputs"] | {"Place/sfm": load_manifest(sfm)["outputs"]})
+    return scene
+
+
+def test_splats_get_undistorted_images_a_model_and_transforms_that_agree(with_lens: DataRoot) -> None:
+    out = _export(with_lens, "splat")
+    model, frame_of = pycolmap.Reconstruction(out / "sparse" / "0"), _frame_of(out)
+    # One centred pinhole, whatever the focal lengths were, as some readers put the principal point there.
+    (camera,) = model.cameras.values()
+    assert camera.model.name == "PINHOLE" and (camera.width, camera.height) == SIZE
+    focal, same, *centre = camera.params
+    assert focal == same and centre == [160, 120]
+    K = camera.calibration_matrix()
+    found, content = _poses(model, frame_of), json.loads((out / "transforms.json").read_text())
+    _assert_same(with_lens, found)
+    world_T_map = np.vstack([content["applied_transform"], [0, 0, 0, 1]])
+    names = {image.name: image for image in model.images.values()}
+    assert len(content["frames"]) == FRAMES and content["camera_model"] == "PINHOLE"
+    seen = 0
+    for frame in content["frames"]:
+        image = names[frame["file_path"].removeprefix("images/")]
+        frame_id = frame_of[frame["file_path"]]
+        pose = np.linalg.inv(world_T_map) @ frame["transform_matrix"] @ np.diag([1, -1, -1, 1])
+        np.testing.assert_allclose(pose, found[frame_id], atol=1e-9)
+        assert [frame[key] for key in ("fl_x", "fl_y", "cx", "cy", "w", "h")] == [*camera.params, *SIZE]
+        assert not any(frame[key] for key in ("k1", "k2", "k3", "p1", "p2"))
+        observed = image.get_observation_points2D()
+        points = np.array([model.point3D(of.point3D_id).xyz for of in observed])
+        reprojected = np.array([image.project_point(xyz) for xyz in points])
+        np.testing.assert_allclose(reprojected, [of.xy for of in observed], atol=1e-3)
+        # The dots in the image lie where its points are seen.
+        assert _dots_off_px(out / frame["file_path"], found[frame_id], K, points) < 0.2
+        original = _image(with_lens, frame_id)
+        assert _dots_off_px(original, found[frame_id], K, points) > 1
+        seen += len(points)
+    # The points beyond the undistorted images are gone.
+    assert seen == len(model.points3D) == FRAMES * len(SEEN)
+    cloud = open3d.io.read_point_cloud(str(out / content["ply_file_path"]))
+    points = sorted(model.points3D.items())
+    expected = transform(world_T_map, np.array([point.xyz for _, point in points]))
+    order, other = np.lexsort(np.asarray(cloud.points).round(3).T), np.lexsort(expected.round(3).T)
+    np.testing.assert_allclose(np.asarray(cloud.points)[order], expected[other], atol=1e-4)
+    colours = np.array([point.color for _, point in points])
+    np.testing.assert_allclose(255 * np.asarray(cloud.colors)[order], colours[other], atol=0.1)
+    split = table_of(with_lens, "Place", "import", "frames").set_index("frame_id")["split"]
+    for name in ("train", "val", "test"):
+        listed = [f"images/{line}" for line in (out / f"{name}.txt").read_text().split()]
+        assert listed == content[f"{name}_filenames"] and {split[frame_of[path]] for path in listed} == {name}
+    assert not [path for path in (out / "images").iterdir() if path.is_dir()]
+
+
 def test_nerfstudio_holds_five_coefficients(scene: DataRoot) -> None:
     points = _give_lens(scene, LENS)
     out = _export(scene, "nerfstudio")
@@ -649,6 +814,47 @@ def test_huggingface_loads(scene: DataRoot, tmp_path: Path, monkeypatch: pytest.
     )
     record = next(iter(croissant.records("validation")))
     assert record["validation/frame_id"].decode() == f"walk0/{VALIDATION[0]:06d}"
+    stated = json.loads((out / "croissant.json").read_text(encoding="utf-8"))
+    assert stated["rai:dataCollectionType"] == "Simulation" and stated["rai:machineAnnotationTools"] == "groundwalk"
+    assert stated["rai:dataCollection"].startswith("2 sessions in format")
+    assert stated["rai:dataCollectionMissingData"] == "1 frames without ground truth are left out."
+    assert stated["rai:dataAnnotationProtocol"].startswith("Frames by quality class: A ")
+    assert "visual localisation" in stated["rai:dataUseCases"] and "rolling shutter" in stated["rai:dataLimitations"]
+    assert stated["rai:dataBiases"].startswith("One place")
+    assert stated["rai:personalSensitiveInformation"].startswith("The images show a simulated place without people.")
     card = (out / "README.md").read_text(encoding="utf-8")
     for said in ("license: cc-by-4.0", "SIMULATED", "1 of 40 frames got no ground truth", "Cite as: A walk, 2026"):
         assert said in card
+
+
+def test_huggingface_shards_are_below_their_limit(
+    scene: DataRoot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Read as one split each, by `datasets` and by what Croissant says."""
+    datasets, mlcroissant = pytest.importorskip("datasets"), pytest.importorskip("mlcroissant")
+    pixels = np.random.default_rng(0).integers(0, 255, (120, 160, 3), np.uint8)
+    for frame_id in table_of(scene, "Place", "import", "frames")["frame_id"]:
+        cv2.imwrite(str(_image(scene, frame_id)), pixels)
+    _write_frames(scene, width=160, height=120)
+    limit = 5 * _image(scene, "walk0/000000").stat().st_size
+    monkeypatch.setattr(huggingface, "_MAX_SHARD_BYTES", limit)
+    monkeypatch.setattr(huggingface, "_ROW_BYTES", 0)
+    out = _export(scene, "huggingface", "--citation", "A walk, 2026")
+    files = sorted(path.name for path in (out / "data").iterdir())
+    trains = [name for name in files if name.startswith("train-")]
+    assert trains == [f"train-{i:05d}-of-{len(trains):05d}.parquet" for i in range(len(trains))] and len(trains) == 3
+    # Besides images, each row has numbers, and each file its schema.
+    assert all((out / "data" / name).stat().st_size < limit + 50_000 for name in files)
+    loaded = datasets.load_dataset(str(out), cache_dir=str(tmp_path / "cache"))
+    truth = _truth(scene)
+    assert {split: len(rows) for split, rows in loaded.items()} == {"train": 11, "validation": 3, "test": 25}
+    assert [row for split in loaded.values() for row in split["frame_id"]] and loaded["train"]["frame_id"] == [
+        frame_id for frame_id in truth.index if frame_id.startswith("walk0/") and int(frame_id[-6:]) < 15
+        and int(frame_id[-6:]) not in VALIDATION
+    ]  # fmt: skip
+    croissant = mlcroissant.Dataset(jsonld=str(out / "croissant.json"))
+    assert not croissant.metadata.issues.errors and not croissant.metadata.issues.warnings
+    records = [record["train/frame_id"].decode() for record in croissant.records("train")]
+    assert records == list(loaded["train"]["frame_id"])
+    listed = pd.read_csv(out / "frames.csv", keep_default_na=False)
+    assert set(listed["image"]) - {""} == {f"data/{name}" for name in files}
