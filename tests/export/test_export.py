@@ -258,8 +258,8 @@ def _with_focal_lengths(scene: DataRoot, spread_px: float) -> Dataset:
     """As one phone took it, with focal lengths that differ by at most this."""
     dataset = load_dataset(scene, "tiny", "Place", reads_images=False)
     focal_px = 1400 + np.linspace(0, spread_px, FRAMES)
-    same = {"cx": 960.0, "cy": 720.0, "fx": focal_px, "fy": focal_px}
-    return replace(dataset, frames=dataset.frames.assign(**same), sessions=dataset.sessions.assign(device="A phone"))
+    frames = dataset.frames.assign(cx=960.0, cy=720.0, fx=focal_px, fy=focal_px)
+    return replace(dataset, frames=frames, sessions=dataset.sessions.assign(device="A phone"))
 
 
 def test_frames_of_a_device_share_a_camera_where_no_corner_moves_by_half_a_pixel(scene: DataRoot) -> None:
@@ -689,10 +689,11 @@ def with_lens(scene: DataRoot) -> DataRoot:
     model, to_map = pycolmap.Reconstruction(), dataset.models[0].map_S_sfm
     for row, (frame_id, pose) in enumerate(zip(truth.index, to_map.inverse().poses(dataset.map_T_cam), strict=True), 1):
         frame = truth.loc[frame_id]
-        params = [*frame[["fx", "fy", "cx", "cy"]], *LENS]
+        fx, fy, cx, cy = frame[["fx", "fy", "cx", "cy"]].to_numpy(float)
+        params = [fx, fy, cx, cy, *LENS]
         camera = pycolmap.Camera(camera_id=row, model="OPENCV", width=SIZE[0], height=SIZE[1], params=params)
         model.add_camera_with_trivial_rig(camera)
-        lens = Camera(*SIZE, *params[:4], LENS)
+        lens = Camera(*SIZE, fx, fy, cx, cy, LENS)
         corner = lens.unproject(np.array([[1.0, 1.0]]))
         beyond = transform(dataset.map_T_cam[row - 1], [[*corner[0], 1.0]])
         pixels = lens.project(np.vstack([SEEN, corner]))
@@ -740,12 +741,12 @@ def test_splats_get_undistorted_images_a_model_and_transforms_that_agree(with_le
         seen += len(points)
     # The points beyond the undistorted images are gone.
     assert seen == len(model.points3D) == FRAMES * len(SEEN)
-    cloud = open3d.io.read_point_cloud(str(out / content["ply_file_path"]))
-    points = sorted(model.points3D.items())
-    expected = transform(world_T_map, np.array([point.xyz for _, point in points]))
+    cloud = open3d.io.read_point_cloud(out / content["ply_file_path"])
+    in_map = list(model.points3D.values())
+    expected = transform(world_T_map, np.array([point.xyz for point in in_map]))
     order, other = np.lexsort(np.asarray(cloud.points).round(3).T), np.lexsort(expected.round(3).T)
     np.testing.assert_allclose(np.asarray(cloud.points)[order], expected[other], atol=1e-4)
-    colours = np.array([point.color for _, point in points])
+    colours = np.array([point.color for point in in_map])
     np.testing.assert_allclose(255 * np.asarray(cloud.colors)[order], colours[other], atol=0.1)
     split = table_of(with_lens, "Place", "import", "frames").set_index("frame_id")["split"]
     for name in ("train", "val", "test"):
