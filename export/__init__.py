@@ -1,1 +1,1 @@
-"""Ground truth for other tools: COLMAP, TUM, nerfstudio, 7-Scenes and Cambridge Landmarks layouts."""
+"""Ground truth as other tools read it, and regressors as phones run them."""

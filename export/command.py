@@ -27,7 +27,7 @@ from groundwalk.store import DataRoot, UserError, progress
 from groundwalk.store.cli import DataOption, ProfileOption
 from groundwalk.store.files import file_names, fresh_folder, refuse_to_overwrite, write_json
 from groundwalk.store.georeference import FILE
-from groundwalk.store.hints import setting_of
+from groundwalk.store.hints import of_scene, setting_of
 from groundwalk.store.images import verify_images
 from groundwalk.store.inputs import held
 from groundwalk.store.tables import CAMERA_COLUMNS
@@ -149,7 +149,8 @@ def export(
     if dataset.simulated:
         said.append("the captures are simulated, and export.json says so")
     elif reads_images:
-        how = f" {setting_of('import', 'blur = true')} blurs them (docs/how-to/blur-faces.md)"
+        advice = of_scene(setting_of("import", "blur = true"), root, scene)
+        how = f" {advice} blurs them (docs/how-to/blur-faces.md)"
         said.append(people(dataset) + how * bool(dataset.frames["blurred_faces"].isna().any()))
     for line in said:
         progress.console.print(f"  {line}", markup=False)

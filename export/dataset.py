@@ -212,8 +212,9 @@ class Dataset:
         says how far they are apart."""
         cameras, apart_px = self.cameras, 0.0
         for rows in self._lenses(cameras):
-            of_frames = [[getattr(cameras[row], name) for name in CAMERA_COLUMNS[:4]] for row in rows]
-            fx, fy, cx, cy = np.median(of_frames, axis=0).tolist()
+            fx, fy, cx, cy = np.median(
+                [(c.fx, c.fy, c.cx, c.cy) for c in (cameras[row] for row in rows)], axis=0
+            ).tolist()
             shared = replace(cameras[rows[0]], fx=fx, fy=fy, cx=cx, cy=cy)
             if (off_px := max(_apart_px(cameras[row], shared) for row in rows)) > MAX_APART_PX:
                 apart_px = max(apart_px, off_px)

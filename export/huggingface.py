@@ -80,7 +80,8 @@ def write_huggingface(dataset: Dataset, folder: Path, images: Images) -> list[st
         for number, shard in enumerate(shards):
             path = f"data/{name}-{number:05d}-of-{len(shards):05d}.parquet"
             files[path] = len(shard)
-            with pq.ParquetWriter(folder / path, fields) as writer:
+            # No two images are the same, so a dictionary of them is nothing but work.
+            with pq.ParquetWriter(folder / path, fields, use_dictionary=False) as writer:
                 for some in np.array_split(shard, -(-len(shard) // _ROWS)):
                     part = columns.take(pa.array(some))
                     if images != "none":

@@ -689,10 +689,10 @@ def with_lens(scene: DataRoot) -> DataRoot:
     model, to_map = pycolmap.Reconstruction(), dataset.models[0].map_S_sfm
     for row, (frame_id, pose) in enumerate(zip(truth.index, to_map.inverse().poses(dataset.map_T_cam), strict=True), 1):
         frame = truth.loc[frame_id]
-        params = [*frame[["fx", "fy", "cx", "cy"]], *LENS]
+        fx, fy, cx, cy = frame[["fx", "fy", "cx", "cy"]].to_numpy(float)
+        params = [fx, fy, cx, cy, *LENS]
         camera = pycolmap.Camera(camera_id=row, model="OPENCV", width=SIZE[0], height=SIZE[1], params=params)
         model.add_camera_with_trivial_rig(camera)
-        fx, fy, cx, cy = params[:4]
         lens = Camera(*SIZE, fx, fy, cx, cy, LENS)
         corner = lens.unproject(np.array([[1.0, 1.0]]))
         beyond = transform(dataset.map_T_cam[row - 1], [[*corner[0], 1.0]])
@@ -742,11 +742,11 @@ def test_splats_get_undistorted_images_a_model_and_transforms_that_agree(with_le
     # The points beyond the undistorted images are gone.
     assert seen == len(model.points3D) == FRAMES * len(SEEN)
     cloud = open3d.io.read_point_cloud(out / content["ply_file_path"])
-    numbered = sorted(model.points3D.items())
-    expected = transform(world_T_map, np.array([point.xyz for _, point in numbered]))
+    in_map = list(model.points3D.values())
+    expected = transform(world_T_map, np.array([point.xyz for point in in_map]))
     order, other = np.lexsort(np.asarray(cloud.points).round(3).T), np.lexsort(expected.round(3).T)
     np.testing.assert_allclose(np.asarray(cloud.points)[order], expected[other], atol=1e-4)
-    colours = np.array([point.color for _, point in numbered])
+    colours = np.array([point.color for point in in_map])
     np.testing.assert_allclose(255 * np.asarray(cloud.colors)[order], colours[other], atol=0.1)
     split = table_of(with_lens, "Place", "import", "frames").set_index("frame_id")["split"]
     for name in ("train", "val", "test"):
