@@ -5,6 +5,7 @@ Snakemake itself killed (SIGKILL) at random times, and the command given again u
 both must hold the same bytes. Writes docs/results/campaign.md.
 """
 
+import contextlib
 import json
 import signal
 import subprocess
@@ -19,7 +20,6 @@ import psutil  # type: ignore[import-untyped]
 import typer
 
 from benchmarks.results import circumstances, markdown_table, write_page
-from groundwalk.campaign import plan, write_workflow
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import new_app
 from groundwalk.store.files import hash_files
@@ -41,20 +41,23 @@ def _table(folder: Path, scenes: int) -> Path:
     return table
 
 
-def _planning(table: Path, data: DataRoot) -> dict[str, float]:
-    """Seconds until Snakemake would start the first job of so many scenes, and MiB of the larger process."""
-    start, folder = time.monotonic(), data.root / "campaigns" / table.stem
-    write_workflow(folder, *plan(table, _PROFILE, data), data)
-    command = [sys.executable, "-m", "snakemake", "--snakefile", folder / "Snakefile", "--directory", folder, "-n"]
-    options = ["--cores", "2", "--nolock", "--rerun-triggers", "mtime", "--scheduler", "greedy", "--quiet"]
-    process = psutil.Popen([*map(str, command), *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    peak = psutil.Process().memory_info().rss
+def _started(table: Path, data: Path, *more: str) -> psutil.Popen:
+    """The command of a campaign."""
+    command = [sys.executable, "-m", "groundwalk", "campaign", table, "--profile", _PROFILE, "--data", data, *more]
+    return psutil.Popen([*map(str, command)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def _planning(table: Path, data: Path) -> tuple[float, float]:
+    """Seconds of a campaign's command that starts no job (a dry run of Snakemake's), and MiB of its largest process."""
+    start, process, peak = time.monotonic(), _started(table, data, "--", "-n"), 0
     while process.poll() is None:
-        peak = max(peak, process.memory_info().rss)
+        with contextlib.suppress(psutil.NoSuchProcess):
+            peak = max(peak, *(one.memory_info().rss for one in (process, *process.children(recursive=True))))
         time.sleep(0.1)
-    if process.returncode:
-        raise RuntimeError(f"snakemake -n ended with {process.returncode}")
-    return {"seconds": time.monotonic() - start, "MiB": peak / 2**20}
+    # 1, as nothing is done.
+    if process.returncode != 1 or not (data / "campaigns" / table.stem / "plan.json").is_file():
+        raise RuntimeError(f"the dry run ended with {process.returncode}")
+    return time.monotonic() - start, peak / 2**20
 
 
 def _run(table: Path, data: Path, jobs: int, schedulers: int, every_s: float) -> dict[str, float]:
@@ -62,10 +65,9 @@ def _run(table: Path, data: Path, jobs: int, schedulers: int, every_s: float) ->
     rng, start = np.random.default_rng(0), time.monotonic()
     left = list(rng.permutation(["job"] * jobs + ["scheduler"] * schedulers))
     commands = 0
-    command = [sys.executable, "-m", "groundwalk", "campaign", table, "--profile", _PROFILE, "--data", data]
     while True:
         commands += 1
-        process = psutil.Popen([*map(str, command)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        process = _started(table, data)
         due = time.monotonic() + rng.exponential(every_s)
         while process.poll() is None:
             time.sleep(0.2)
@@ -112,10 +114,10 @@ def main(
 ) -> None:
     """Run the campaigns and write the page."""
     work.mkdir(parents=True)
-    made = [["scenes", "until the first job (s)", "MiB"]]
+    made = [["scenes", "until the first job would start (s)", "MiB"]]
     for count in map(int, planned.split(",")):
-        cost = _planning(_table(work, count), DataRoot(work / f"planned{count}"))
-        made.append([f"{count:,}", f"{cost['seconds']:.1f}", f"{cost['MiB']:.0f}"])
+        seconds, mib = _planning(_table(work, count), work / f"planned{count}")
+        made.append([f"{count:,}", f"{seconds:.1f}", f"{mib:.0f}"])
     table = _table(work, scenes)
     clean = _run(table, work / "clean", 0, 0, 1.0)
     again = _run(table, work / "clean", 0, 0, 1.0)

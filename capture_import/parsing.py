@@ -1,6 +1,5 @@
 """Typed reading of unchecked logs: lines, JSON, numbers, poses and paths, with one exception for what is wrong."""
 
-import codecs
 import functools
 import json
 import math
@@ -21,6 +20,7 @@ from groundwalk.geometry.lens import rational_of_fisheye
 from groundwalk.geometry.poses import Array, pose_from_tq
 from groundwalk.store import UserError
 from groundwalk.store.files import leads_outside
+from groundwalk.store.text import encoding_of
 
 Row = TypeVar("Row")
 
@@ -31,7 +31,6 @@ _CAM_R_PHONE = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 MAX_NS = 2**62  # so that times can be subtracted
 _CAMERA, _SIZE = ("fx", "fy", "cx", "cy"), ("width", "height")
 _MAX_LINE = 1 << 20
-_UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _MAX_SMALL_FILE = 1 << 20
 _FISHEYE_TOLERANCE_PX = 0.05
 _NOT_UTF8 = "\N{REPLACEMENT CHARACTER}"  # stands for bytes that aren't: they cost what they are in, not the whole log
@@ -131,9 +130,8 @@ def read_text(path: Path, max_bytes: int = _MAX_SMALL_FILE) -> str:
 
 
 def _encoding(path: Path) -> str:
-    """UTF-16 where the file begins with its mark, as PowerShell writes text, or else UTF-8."""
     with path.open("rb") as file:
-        return "utf-16" if file.read(2) in _UTF16_MARKS else "utf-8-sig"
+        return encoding_of(file.read(2))
 
 
 def first_bytes(path: Path, count: int = 1 << 16) -> bytes:
@@ -145,7 +143,7 @@ def first_bytes(path: Path, count: int = 1 << 16) -> bytes:
             start = file.read(count)
     except OSError:
         return b""
-    return start.decode("utf-16", "ignore").encode() if start[:2] in _UTF16_MARKS else start
+    return start.decode("utf-16", "ignore").encode() if encoding_of(start) == "utf-16" else start
 
 
 def lines_of(path: Path, limits: Limits, is_row: Callable[[str], bool] = lambda line: True) -> list[tuple[str, str]]:

@@ -67,7 +67,7 @@ def export(
             "--format",
             callback=_format_id,
             metavar="FORMAT",
-            help="The layout to write: colmap, tum, ... for ground truth, phone for a regressor.",
+            help="The layout to write: colmap, splat, tum, ... for ground truth, phone for a regressor.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="The folder to make.")],
@@ -139,7 +139,8 @@ def export(
     if undistorted := dataset.undistorted:
         written = f", written as PNG or as JPEG of quality {JPEG_QUALITY}" if reads_images else ""
         said.append(
-            f"{undistorted} images undistorted, as those of pinholes, for {name}{written}; shutter left as it is"
+            f"{undistorted} images undistorted, as pinhole cameras see them, for {name}{written}; rolling shutter is "
+            "not corrected"
         )
     if dataset.apart_px:
         said.append(

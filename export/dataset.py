@@ -12,7 +12,7 @@ import pandas as pd
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.cameras import Camera, pinhole_within
 from groundwalk.geometry.fits import Sim3, similarity_of_poses
-from groundwalk.geometry.poses import Array
+from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.choices import MapUnit, QualityClass, VerticalSource
 from groundwalk.store.files import read_json
@@ -35,6 +35,8 @@ from groundwalk.store.undistortion import undistorted_image
 Images = Literal["link", "copy", "none"]
 
 JPEG_QUALITY = 95
+# From +y up to +z up: a quarter turn about x.
+WORLD_T_MAP = make_pose([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], np.zeros(3))
 # An estimated lens that moves no pixel further is none.
 _MAX_SHIFT_PX = 0.1
 # Cameras of one device and lens are one where it moves no corner of an image further than a feature is off.

@@ -10,8 +10,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from groundwalk.export.dataset import Dataset, Images, number
-from groundwalk.export.nerfstudio import WORLD_T_MAP
+from groundwalk.export.dataset import WORLD_T_MAP, Dataset, Images, number
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import tq_from_pose
 from groundwalk.store import UserError

@@ -10,16 +10,12 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from groundwalk.export.colmap import place_images
-from groundwalk.export.dataset import Dataset, Images
+from groundwalk.export.dataset import WORLD_T_MAP, Dataset, Images
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, inverse, make_pose
 
 # OpenGL's camera axes are ARKit's.
 _OPENGL_CAM_T_CAM = ARKIT_CAM_T_CAM
-# From +y up to +z up: a quarter turn about x.
-WORLD_T_MAP = make_pose([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], np.zeros(3))
 # OpenCV's order of coefficients.
 DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 

@@ -15,8 +15,8 @@ import numpy as np
 import pycolmap
 
 from groundwalk.export.colmap import model_in_map, place_images, write_model, write_splits
-from groundwalk.export.dataset import Dataset, Images
-from groundwalk.export.nerfstudio import WORLD_T_MAP, write_transforms
+from groundwalk.export.dataset import WORLD_T_MAP, Dataset, Images
+from groundwalk.export.nerfstudio import write_transforms
 
 
 def write_splat(dataset: Dataset, folder: Path, images: Images) -> list[str]:

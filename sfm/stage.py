@@ -181,7 +181,7 @@ def _covariances(
         if (estimate := covariances(bundle)) is None:  # its frames are of class C
             r.say(
                 f"model {one.model_id}: no covariances: its points are too few or don't determine its poses, or, of a "
-                "large model, conjugate gradients don't come to an end"
+                "large model, conjugate gradients don't converge"
             )
         else:
             covariance[rows] = estimate.poses

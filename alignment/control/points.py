@@ -1,7 +1,6 @@
 """Surveyed points and where images show them, by their files and by tags that are detected."""
 
 import re
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import StringIO
@@ -18,6 +17,7 @@ from groundwalk.geometry.poses import Array
 from groundwalk.store import UserError
 from groundwalk.store.images import read_grey_image
 from groundwalk.store.parallel import in_parallel
+from groundwalk.store.text import encoding_of
 
 _LOCAL, _WGS84 = ["x_m", "y_m", "z_m"], ["latitude_deg", "longitude_deg", "altitude_m"]
 _TAG_POINT = re.compile(r"(\d+)(?:\.([0-3]))?")
@@ -146,7 +146,7 @@ def _read(path: Path, names: list[str], *choices: list[str]) -> pd.DataFrame:
     expected = f"CSV with columns {' or '.join(', '.join([*names, *numbers]) for numbers in choices)}"
     try:
         content = path.read_bytes()
-        text = content.decode("utf-16" if content[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) else "utf-8-sig")
+        text = content.decode(encoding_of(content))
         between = max(",;\t", key=text.partition("\n")[0].count)
         decimal = "," if between != "," and re.search(r"\d,\d", text) else "."
         table = pd.read_csv(

@@ -1,8 +1,16 @@
 """Text from captures and files, made fit for a terminal."""
 
+import codecs
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
+
+_UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+
+def encoding_of(start: bytes) -> str:
+    """Of text that begins so: UTF-16 where its mark says so, as PowerShell and spreadsheets write it, or else UTF-8."""
+    return "utf-16" if start[:2] in _UTF16_MARKS else "utf-8-sig"
 
 
 def printable(text: str) -> str:

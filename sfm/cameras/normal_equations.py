@@ -222,6 +222,14 @@ class IterativeSolver:
             direction = preconditioned + product / np.maximum(before, np.finfo(float).tiny) * direction
         return x.reshape(right.shape), False
 
+    def inverse_times(self, right: Array) -> Array:
+        """The inverse's product with a vector (l N + G,) or with columns (l N + G, k); LinAlgError where it takes too
+        many iterations."""
+        x, has_converged = self.solve(right)
+        if not has_converged:
+            raise LinAlgError("conjugate gradients don't converge")
+        return x
+
     def variances(self) -> Array:
         """The inverse's diagonal (l N,) of the frames' unknowns, as far as their clusters tell, with the other frames
         held. Of what is a frame's own, as its angular velocity, that is nearly all; of others it's too small."""
