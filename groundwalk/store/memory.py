@@ -18,6 +18,7 @@ class PeakMemory:
 
     def __init__(self) -> None:
         self.peak_bytes = 0
+        self._largest_before = _largest_process_bytes()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._sample, daemon=True)
 
@@ -28,13 +29,18 @@ class PeakMemory:
     def __exit__(self, *_: object) -> None:
         self._ended.set()
         self._thread.join()
-        max_rss = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-        # Linux counts kilobytes, macOS bytes.
-        self.peak_bytes = max(self.peak_bytes, max_rss * (1 if sys.platform == "darwin" else 1024))
+        largest = _largest_process_bytes()
+        if largest > self._largest_before or self.peak_bytes == 0:  # else it was reached before the block
+            self.peak_bytes = max(self.peak_bytes, largest)
 
     def _sample(self) -> None:
         while not self._ended.wait(_EVERY_S):
             self.peak_bytes = max(self.peak_bytes, sum(map(_pss_bytes, _with_descendants("self"))))
+
+
+def _largest_process_bytes() -> int:
+    max_rss = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return max_rss * (1 if sys.platform == "darwin" else 1024)  # Linux counts kilobytes, macOS bytes
 
 
 def _with_descendants(pid: str) -> list[str]:
