@@ -1,7 +1,7 @@
 """Scale and vertical of each SfM model, where each lies in the map, and all checks before ground truth is given out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -18,7 +18,7 @@ from groundwalk.alignment.checks.results import (
 )
 from groundwalk.alignment.checks.sessions import check_focal_length, check_sessions
 from groundwalk.alignment.checks.windows import check_window, component_windows, max_residuals
-from groundwalk.alignment.components import Component
+from groundwalk.alignment.components import NOT_GIVEN, Component, GivenFrame
 from groundwalk.alignment.map_frame import common_scale, common_vertical
 from groundwalk.alignment.reference.placement import check_session_references, fit_component, limits_of
 from groundwalk.alignment.reference.poses import Reference
@@ -43,7 +43,7 @@ _CONFIRMED_M, _CONFIRMED_RAD = 0.25, float(np.radians(2.0))
 class AlignInputs:
     """What the alignment works on: import's tables `frames` and `jumps`, each session's recording, SfM's tables, rulers
     as measured in SfM's models, a data set's reference poses. `gravity_tested`: the recordings whose gravity import has
-    found confirmed by the images."""
+    found confirmed by the images. `given`: the first model's scale and vertical, for what it lacks of them."""
 
     frames: pd.DataFrame
     sfm: SfmTables
@@ -52,6 +52,7 @@ class AlignInputs:
     rulers: Sequence[RulerMeasurement] = ()
     reference: Reference | None = None
     gravity_tested: frozenset[str] = frozenset()
+    given: GivenFrame = NOT_GIVEN
 
 
 def check_models(inputs: AlignInputs, settings: AlignSettings) -> CheckedMap:
@@ -120,17 +121,23 @@ def _component(
         return missing_scale(index, rows, FailureCause.VIO_INCONSISTENT, reason)
     rulers = [ruler for ruler in inputs.rulers if ruler.model_id == model_id]
     scale = scale_by_rulers(vio_scale, rulers, settings.max_ruler_size_error) or vio_scale
+    max_tilt = float(np.radians(settings.max_session_tilt_deg))
+    vertical = common_vertical(segments, max_tilt=max_tilt, tested=inputs.gravity_tested)
+    given = inputs.given if index == 0 else NOT_GIVEN
+    if given.scale is not None and not scale.is_known:
+        scale = given.scale
+    if given.vertical is not None and not vertical.source.is_known:
+        vertical = replace(given.vertical, recordings=vertical.recordings, is_agreed=vertical.is_agreed)
     if index and not scale.is_known:
         why = "VIO hardly moves in it" if any(s.has_vio.any() for s in segments) else "it has no VIO"
         reason = f"its SfM model has no metric scale: {why}"
         return missing_scale(index, rows, FailureCause.DISCONNECTED_SESSION, reason)
-    max_tilt = float(np.radians(settings.max_session_tilt_deg))
     return Component(
         index=index,
         model_id=model_id,
         segments=segments,
         scale=scale,
-        vertical=common_vertical(segments, max_tilt=max_tilt, tested=inputs.gravity_tested),
+        vertical=vertical,
         vio_scale=vio_scale,
     )
 

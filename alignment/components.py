@@ -20,13 +20,14 @@ MAX_SCALE_SD, MAX_VERTICAL_SD = 0.02, float(np.radians(1.0))
 class MapScale:
     """Metres per SfM unit by all recordings: logarithm, standard error (NaN: unknown, the unit stays SfM's), and each
     recording's scale. `rulers` names the rulers that logarithm and standard error are by instead, where there are any;
-    `reference` says that they are by reference poses."""
+    `reference` says that they are by reference poses, `given_by` that a survey or GPS gives them."""
 
     log: float
     sd: float
     recordings: dict[str, Scale]
     rulers: tuple[str, ...] = ()
     reference: ScaleSource | None = None
+    given_by: str = ""
 
     @property
     def is_known(self) -> bool:
@@ -36,7 +37,7 @@ class MapScale:
     @property
     def by(self) -> str:
         """What gives it."""
-        return f"ruler: {', '.join(self.rulers)}" if self.rulers else self.reference or ScaleSource.VIO
+        return f"ruler: {', '.join(self.rulers)}" if self.rulers else self.reference or self.given_by or ScaleSource.VIO
 
     @property
     def source(self) -> str:
@@ -67,6 +68,17 @@ class Vertical:
     recordings: dict[str, RecordingVertical]
     source: VerticalSource = VerticalSource.GRAVITY
     is_agreed: bool = True
+
+
+@dataclass(frozen=True)
+class GivenFrame:
+    """Scale and vertical of the first model by what is neither its recordings' nor a ruler's; None where not given."""
+
+    scale: MapScale | None = None
+    vertical: Vertical | None = None
+
+
+NOT_GIVEN = GivenFrame()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from groundwalk.consistency.decisions import Status
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.earth import MIN_FIXES, EarthFit, Origin, enu_of, fit_earth
 from groundwalk.geometry.poses import Array
-from groundwalk.store.choices import Clock
+from groundwalk.store.choices import Clock, ScaleSource, VerticalSource
 from groundwalk.store.georeference import Georeference
 
 # Phones state 65 m and more where they know Wi-Fi or cells alone.
@@ -66,6 +66,9 @@ def of_gps(
     """By import's table `gps`; `map_T_cam` (N, 4, 4) are poses of the rows of `frames`, NaN of those without ground
     truth. Raises NoGeoreference where positions are too few, too rough, of another place, or along too short a walk."""
     main, remarks, stated = placed[0].component, list[str](), len(gps)
+    # What these positions gave says nothing of them.
+    rigid = main.scale.is_known and main.scale.given_by != ScaleSource.GPS
+    is_upright = main.vertical.source.is_known and main.vertical.source is not VerticalSource.GPS
     if not stated:
         raise NoGeoreference(
             "no recording states a position on earth: photos, 3D Scanner App and ios_logger do where they had leave to "
@@ -97,7 +100,7 @@ def of_gps(
     vertical = gps["altitude_sd_m"].fillna(_VERTICAL_OF_RADIUS * accuracy).to_numpy(float)
     sd = np.column_stack([horizontal, horizontal, np.maximum(vertical, _MIN_SD_M)])
     walk, names = pd.factorize(gps["recording"])
-    vertical_sd = float(main.vertical.sd) if main.vertical.source.is_known else None
+    vertical_sd = float(main.vertical.sd) if is_upright else None
     if vertical_sd is None and np.isfinite(enu[:, 2]).sum() < MIN_FIXES:
         raise NoGeoreference(
             "the map's vertical isn't known, and positions without altitude don't tell it: record with a phone's VIO, "
@@ -110,7 +113,7 @@ def of_gps(
             xyz,
             gps["t_ns"].to_numpy(float) * 1e-9,
             walk.astype(np.int64),
-            rigid=main.scale.is_known,
+            rigid=rigid,
             vertical_sd=vertical_sd,
         )
     except GeometryError as error:
@@ -118,7 +121,7 @@ def of_gps(
     off_m = np.linalg.norm(fit.residual[:, :2], axis=1)
     is_off = off_m > _OUTLIER_SIGMAS * horizontal
     _refuse_another_place(is_off, fit.residual, walk, [str(name) for name in names])
-    _refuse_unsure(fit, xyz, sd, rigid=main.scale.is_known)
+    _refuse_unsure(fit, xyz, sd, rigid=rigid)
     if is_off.any():
         remarks.append(f"{int(is_off.sum())} that are up to {_distance(off_m.max())} from where the others have them")
     used = off_m[~is_off]

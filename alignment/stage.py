@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from groundwalk.alignment import depth, georeference, held, recording
+from groundwalk.alignment import depth, georeference, given_frame, held, recording
 from groundwalk.alignment.check_models import AlignInputs, check_models, refusal
 from groundwalk.alignment.checked_map import CheckedMap
 from groundwalk.alignment.checks.depth import check_depth
 from groundwalk.alignment.checks.results import CheckResult, checks_table, describe
-from groundwalk.alignment.components import MAX_SCALE_SD, MAX_VERTICAL_SD, MapScale, Vertical
+from groundwalk.alignment.components import MAX_SCALE_SD, MAX_VERTICAL_SD, NOT_GIVEN, GivenFrame, MapScale, Vertical
 from groundwalk.alignment.control import check as control_check
 from groundwalk.alignment.control.check import ControlCheck
-from groundwalk.alignment.control.points import find_points
+from groundwalk.alignment.control.points import ControlPoints, find_points
 from groundwalk.alignment.control.tables import control_table, draw_control, points_table
 from groundwalk.alignment.georeference import NoGeoreference
 from groundwalk.alignment.ground_truth import AlignResult, build, camera_sd, poses_in_map
@@ -33,7 +33,7 @@ from groundwalk.scoring.bootstrap import finite
 from groundwalk.store import StageRun
 from groundwalk.store.choices import QualityClass, ScaleSource, UpSource, VerticalSource
 from groundwalk.store.files import write_json
-from groundwalk.store.georeference import FILE
+from groundwalk.store.georeference import FILE, Georeference
 from groundwalk.store.tables import dataset_frames, with_cameras
 
 CHECKS_PLOT, CONTROL_PLOT = "checks.png", "control.png"
@@ -46,8 +46,9 @@ def run(r: StageRun[AlignSettings]) -> None:
     before = r.before if r.holds else None
     with r.step("rulers"):
         rulers = measure_rulers(find_rulers(r.settings.rulers, frames, r.image_path), frames, images)
+        controls = [find_points(survey, frames, r.data.root, r.image_path) for survey in r.settings.controls]
     with r.step("checks"):
-        checked = check_models(replace(inputs, rulers=rulers), r.settings)
+        checked = _check_models(r, replace(inputs, rulers=rulers), controls)
         ruler_checks = scale_check.check_rulers(checked.components, rulers, r.settings.max_ruler_size_error)
         checked = replace(checked, checks=[*checked.checks, *(check.result for check in ruler_checks)])
     with r.step("plots"):
@@ -68,7 +69,7 @@ def run(r: StageRun[AlignSettings]) -> None:
     with r.step("depth"):
         checked = replace(checked, checks=[*checked.checks, *_check_by_depth(r, frames, images, checked)])
     with r.step("control"):
-        surveys = _check_by_control(r, frames, images, checked)
+        surveys = _check_by_control(r, controls, inputs, checked)
         checked = replace(checked, checks=[*checked.checks, *(survey.result for survey in surveys)])
         _place_on_earth(r, inputs, checked, surveys)
     with r.step("align"):
@@ -113,6 +114,42 @@ def _read(r: StageRun[AlignSettings]) -> AlignInputs:
     )
 
 
+def _check_models(r: StageRun[AlignSettings], inputs: AlignInputs, controls: Sequence[ControlPoints]) -> CheckedMap:
+    """The checked map; where it lacks scale or vertical, with those that something else gives, one after the other."""
+    checked = check_models(inputs, r.settings)
+    if inputs.reference is not None and inputs.reference.gives_map:
+        return checked
+
+    def by_surveys(checked: CheckedMap) -> GivenFrame:
+        usable = checked.frames.has_ground_truth
+        checks = [
+            control_check.check_control(points, inputs.frames, inputs.sfm.images, checked.placed, usable)
+            for points in controls
+        ]
+        return given_frame.by_surveys(checks, checked.placed[0])
+
+    def by_lines(checked: CheckedMap) -> GivenFrame:
+        return given_frame.by_lines(r, inputs.frames, inputs.sfm.images, checked.placed[0])
+
+    def by_gps(checked: CheckedMap) -> GivenFrame:
+        try:
+            return given_frame.by_gps(_by_gps(r, inputs, checked), checked.placed[0])
+        except NoGeoreference:  # said where the map is to be placed on earth
+            return NOT_GIVEN
+
+    for give in (by_surveys, by_lines, *([by_gps] if _asks_for_gps(r) else [])):
+        if not checked.placed:
+            break
+        main = checked.placed[0].component
+        if main.scale.is_known and main.vertical.source.is_known:
+            break
+        given, before = give(checked), inputs.given
+        if given != NOT_GIVEN:
+            inputs = replace(inputs, given=GivenFrame(before.scale or given.scale, before.vertical or given.vertical))
+            checked = check_models(inputs, r.settings)
+    return checked
+
+
 def _check_by_depth(
     r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap
 ) -> list[CheckResult]:
@@ -136,12 +173,11 @@ def _check_by_depth(
 
 
 def _check_by_control(
-    r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap
+    r: StageRun[AlignSettings], controls: Sequence[ControlPoints], inputs: AlignInputs, checked: CheckedMap
 ) -> list[ControlCheck]:
     """The checks by surveyed points; their tables and picture are written."""
-    found = [find_points(survey, frames, r.data.root, r.image_path) for survey in r.settings.controls]
-    usable = checked.frames.has_ground_truth
-    checks = [control_check.check_control(points, frames, images, checked.placed, usable) for points in found]
+    frames, images, usable = inputs.frames, inputs.sfm.images, checked.frames.has_ground_truth
+    checks = [control_check.check_control(points, frames, images, checked.placed, usable) for points in controls]
     for check in checks:
         r.say(control_check.describe(check))
     r.write("control", control_table(checks))
@@ -151,12 +187,22 @@ def _check_by_control(
     return checks
 
 
+def _asks_for_gps(r: StageRun[AlignSettings]) -> bool:
+    return (r.folder("import") / "gps.parquet").is_file()
+
+
+def _by_gps(r: StageRun[AlignSettings], inputs: AlignInputs, checked: CheckedMap) -> Georeference:
+    map_T_cam = poses_in_map(inputs.sfm.images, checked.placed)
+    map_T_cam[~checked.frames.has_ground_truth] = np.nan
+    return georeference.of_gps(r.read("import", "gps"), inputs.frames, inputs.recordings, map_T_cam, checked.placed)
+
+
 def _place_on_earth(
     r: StageRun[AlignSettings], inputs: AlignInputs, checked: CheckedMap, surveys: Sequence[ControlCheck]
 ) -> None:
     """A file that says where on earth the map is, where a survey or import's setting gps asks for it, or why it doesn't
     know."""
-    asks = (r.folder("import") / "gps.parquet").is_file()
+    asks = _asks_for_gps(r)
     if not asks and all(survey.points.origin is None for survey in surveys):
         return
     try:
@@ -164,10 +210,7 @@ def _place_on_earth(
         if found is None:
             if not asks:
                 raise NoGeoreference("no survey in WGS84 passes its check: see its line, and correct it")
-            map_T_cam = poses_in_map(inputs.sfm.images, checked.placed)
-            map_T_cam[~checked.frames.has_ground_truth] = np.nan
-            gps = r.read("import", "gps")
-            found = georeference.of_gps(gps, inputs.frames, inputs.recordings, map_T_cam, checked.placed)
+            found = _by_gps(r, inputs, checked)
     except NoGeoreference as reason:
         write_json(r.work / FILE, {"refused": str(reason)})
         r.say(f"no georeference: {reason}")
@@ -228,9 +271,13 @@ def _describe_scale(scale: MapScale, has_vio: bool) -> str:
         return f"NO METRIC SCALE: all lengths are in the reference's unknown unit, {per_unit}"
     if not scale.is_known:
         why = "VIO hardly moves" if has_vio else "there is no VIO"
-        add = "a longer walk or a ruler" if has_vio else "a ruler, or a recording with VIO of the same place"
+        add = (
+            "a longer walk or a ruler"
+            if has_vio
+            else "a ruler, surveyed points or a recording with VIO of the same place"
+        )
         return f"NO METRIC SCALE: {why}, all lengths are in SfM's unit; add {add}"
-    by = scale.by if scale.rulers or scale.reference else f"{len(scale.recordings)} VIO recordings"
+    by = scale.by if scale.rulers or scale.reference or scale.given_by else f"{len(scale.recordings)} VIO recordings"
     if scale.reference:
         by += " (± of the fit to it; its own error is unknown)"
     text = f"{np.exp(scale.log):.6g} m per SfM unit ± {100 * scale.sd:.2f} % from {by}"

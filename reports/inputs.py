@@ -154,8 +154,8 @@ class SceneInputs:
 
     @property
     def is_images_alone(self) -> bool:
-        """No session has poses (photos or videos), and nothing gave the map its scale."""
-        return bool((self.sessions["pose_source"] == PoseSource.NONE).all()) and self.unit is not MapUnit.METRE
+        """No session has poses: photos or videos."""
+        return bool((self.sessions["pose_source"] == PoseSource.NONE).all())
 
     def why_alone(self) -> str:
         """Why predictions stand alone in the scene, or in some of its test sessions; empty where all are fused."""

@@ -136,10 +136,11 @@ def _state(scene: SceneInputs, frames: pd.DataFrame) -> tuple[State, str]:
         return State.OPEN, "ground truth hasn't been made yet: run the stage align"
     if scene.is_images_alone:
         # How exact such a map is nothing but the images says; where places look alike they are wrong by metres.
-        placed = (frames["quality"] != QualityClass.NONE).sum()
+        placed, figures = (frames["quality"] != QualityClass.NONE).sum(), scene.manifests["align"]["figures"]
+        scale, vertical = (str(figures[f"{name}_source"]).replace("none", "unknown") for name in ("scale", "vertical"))
         return State.UNDECIDED, (
-            f"images alone, without scale or vertical: {placed} of {len(frames)} are in the map. Nothing but the "
-            "images checks it, so no sigma is said: look-alike places may be one in it"
+            f"images alone (scale: {scale}; vertical: {vertical}): {placed} of {len(frames)} are in the map. Nothing "
+            "but the images checks its shape, so no sigma is said: look-alike places may be one in it"
         )
     return state_of(scene.align_checks, frames["quality"])
 

@@ -11,14 +11,14 @@ ROOT = Path(__file__).resolve().parents[1]
 # Which packages a package imports, beside itself. `groundwalk`, benchmarks and tests may import all of them.
 GRAPH: dict[str, set[str]] = {
     "geometry": set(),
-    "features": set(),
+    "features": {"geometry"},
     "consistency": {"geometry"},
     "scoring": {"geometry"},
     "store": {"consistency", "geometry"},
     "simulation": {"store", "geometry"},
-    "capture_import": {"store", "geometry"},
+    "capture_import": {"store", "features", "geometry"},
     "sfm": {"store", "consistency", "features", "geometry"},
-    "alignment": {"store", "consistency", "geometry", "scoring"},
+    "alignment": {"store", "consistency", "features", "geometry", "scoring"},
     "runtime": {"store", "geometry"},
     "export": {"store", "geometry", "runtime", "scoring", "training"},
     "training": {"store", "geometry", "scoring"},

@@ -22,7 +22,7 @@ from groundwalk.geometry.control import ControlFit, fit_control
 from groundwalk.geometry.fits import Sim3, fit_sim3
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rulers import triangulate_points
-from groundwalk.store.choices import CheckName, FailureCause
+from groundwalk.store.choices import CheckName, FailureCause, VerticalSource
 
 Mask = NDArray[np.bool_]
 
@@ -38,7 +38,7 @@ _UNITS = {"feet": 0.3048, "centimetres": 0.01, "millimetres": 0.001, "inches": 0
 # A map's own scale is off by less.
 _UNIT_TOLERANCE = 0.05
 _NO_ESTIMATE = Quantity()
-_UP = {"z": np.array([0.0, 0.0, 1.0]), "y": np.array([0.0, 1.0, 0.0])}
+UP = {"z": np.array([0.0, 0.0, 1.0]), "y": np.array([0.0, 1.0, 0.0])}
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,8 @@ class MappedPoints:
 class ControlCheck:
     """A survey against the map. `used` (K,) are the points in `fit`, which is None where there is none; `scale` is how
     much longer the map is than the survey, as a fraction (where it has no scale, the metres of its unit), `tilt_deg`
-    the angle between the verticals, each with its standard error."""
+    the angle between the verticals, each with its standard error. `sets_scale`: the map's scale is by this survey, and
+    each half of its points is fitted with a scale of its own."""
 
     points: ControlPoints
     mapped: MappedPoints
@@ -65,6 +66,7 @@ class ControlCheck:
     scale: tuple[float, float]
     tilt_deg: tuple[float, float]
     result: CheckResult
+    sets_scale: bool = False
 
     @property
     def error_m(self) -> Array:
@@ -107,9 +109,11 @@ def check_control(
     points: ControlPoints, frames: pd.DataFrame, images: pd.DataFrame, placed: Sequence[PlacedComponent], usable: Mask
 ) -> ControlCheck:
     """Triangulate a survey's points by the map's poses of the `usable` frames (N,) and compare them with the survey: by
-    a rigid fit, or by a similarity where the map has no scale."""
+    a rigid fit, or by a similarity where the map has no scale or it is by this survey."""
     mapped, main = _mapped(points, frames, images, placed, usable), placed[0].component
-    limit, rigid, scale_sd = points.settings.max_error_m, main.scale.is_known, float(np.nan_to_num(main.scale.sd))
+    limit, scale_sd = points.settings.max_error_m, float(np.nan_to_num(main.scale.sd))
+    sets_scale = main.scale.given_by == scale_source(points)
+    rigid = main.scale.is_known and not sets_scale
     usable_points: Mask = np.asarray(np.isfinite(mapped.xyz).all(axis=1))
     # What the map knows no better than the limit judges nothing; without a scale, by that of all points.
     if rigid or usable_points.sum() >= _MIN_AGREEING:
@@ -128,6 +132,7 @@ def check_control(
         scale=unknown,
         tilt_deg=unknown,
         result=_result(points, subject, Status.UNDECIDED, f"{seen} of {len(points.names)} points are seen well enough"),
+        sets_scale=sets_scale,
     )
     if seen < _MIN_AGREEING:
         return check
@@ -139,7 +144,7 @@ def check_control(
         fit, free = fit_control(*arguments, rigid=rigid, scale_sd=scale_sd), fit_control(*arguments, rigid=False)
     except GeometryError as error:
         return replace(check, result=_result(points, subject, Status.UNDECIDED, str(error)))
-    scale, up = free.survey_S_map.scale, _UP.get(points.settings.up)
+    scale, up = free.survey_S_map.scale, UP.get(points.settings.up)
     check = replace(
         check,
         used=used,
@@ -163,6 +168,11 @@ def check_control(
     return replace(check, result=_result(points, subject, status, _listed(points, wrong) or reason, Quantity(rms, sd)))
 
 
+def scale_source(points: ControlPoints) -> str:
+    """A map's `scale_source` where this survey gives it."""
+    return f"control: {points.settings.name}"
+
+
 def describe(check: ControlCheck) -> str:
     """A line for the user."""
     name, total = check.points.settings.name, len(check.points.names)
@@ -184,7 +194,10 @@ def describe_figures(check: ControlCheck) -> str:
         )
     is_metric = check.fit.survey_S_map.scale == 1.0
     value, sd = check.scale
-    parts.append(f"scale {value:+.2%} ± {sd:.2%}" if is_metric else f"{value:.6g} ± {sd:.2g} m per unit of the map")
+    if check.sets_scale:
+        parts.append(f"sets the map's scale ± {sd:.2%}")
+    else:
+        parts.append(f"scale {value:+.2%} ± {sd:.2%}" if is_metric else f"{value:.6g} ± {sd:.2g} m per unit of the map")
     if np.isfinite(check.tilt_deg[0]):
         parts.append("tilt {:.2f}° ± {:.2f}°".format(*check.tilt_deg))
     return ", ".join(parts)
@@ -287,12 +300,14 @@ def _listed(points: ControlPoints, wrong: dict[int, str]) -> str:
 
 
 def _tilt_deg(fit: ControlFit, up: Array, vertical: Vertical) -> tuple[float, float]:
-    """The angle between the survey's vertical and the map's +y, and its standard error; NaN where the map has none."""
+    """The angle between the survey's vertical and the map's +y, and its standard error; NaN where the map has none or
+    a survey gave it."""
     in_survey = fit.survey_S_map.rotation[:, 1]
     across = fit.covariance[:3, :3] - np.outer(in_survey, in_survey @ fit.covariance[:3, :3])
     angle = np.arctan2(np.linalg.norm(np.cross(up, in_survey)), up @ in_survey)
     sd = np.sqrt(np.linalg.eigvalsh(across + across.T)[-1] / 2 + vertical.sd**2)
-    return (float(np.degrees(angle)) if vertical.source.is_known else float("nan")), float(np.degrees(sd))
+    is_compared = vertical.source.is_known and vertical.source is not VerticalSource.CONTROL
+    return (float(np.degrees(angle)) if is_compared else float("nan")), float(np.degrees(sd))
 
 
 def _result(

@@ -106,13 +106,14 @@ def describe(check: RulerCheck) -> str:
             f"± {100 * _BOUND_SIGMAS * vio.sd:.2f} %, the ruler's ± {sd_percent:.2f} %)"
         )
     else:
-        why = "the map's scale is the reference's" if scale.reference else "VIO moves too little to give a scale"
+        other = "the reference" if scale.reference else scale.given_by
+        why = f"the map's scale is by {other}" if other else "VIO moves too little to give a scale"
         by_vio = f"95 % bounds ± {sd_percent:.2f} %; {why}"
     text = (
         f"ruler {measurement.ruler.name}: {len(fit.frames)} frames, {_corners(fit)} corners"
         f"{' held out' * (check.part is RulerPart.HELD_OUT)}, views {np.degrees(fit.angle):.0f}° apart, {by_vio}"
     )
-    if scale.rulers or scale.reference:
+    if scale.rulers or scale.reference or scale.given_by:
         text += f"; map's scale {100 * np.expm1(scale.log - measurement.log_metres(check.part)):+.2f} %"
     text += f"; corners {fit.reprojection_px:.2f} px RMS"
     if not isinstance(measurement.ruler, DistanceRuler):
@@ -144,7 +145,8 @@ def _check(
     sd = float(np.hypot(scale.sd, measurement.fits[part].sd if is_held_out else measurement.sd(part)))
     error = float(np.expm1(scale.log - measurement.log_metres(part)))
     fault = _fault(scale, measurement, rulers)
-    by = f"ruler {', '.join(scale.rulers)}" if scale.rulers else "the reference" if scale.reference else "VIO"
+    other = "the reference" if scale.reference else scale.given_by or "VIO"
+    by = f"ruler {', '.join(scale.rulers)}" if scale.rulers else other
     size = f"in the map scaled by {by} {_measured('its', scale, measurement, part)} ({error:+.1%} ± {sd:.1%})"
     reason = fault or "; ".join(filter(None, [size, remark]))
     result = evaluate(

@@ -8,13 +8,13 @@ three directions at right angles, one of them vertical.
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from groundwalk.capture_import.capture import Image, Session
-from groundwalk.capture_import.media.images import WORKING_LONG_SIDE, Gray
+from groundwalk.capture_import.media.images import Gray
 from groundwalk.capture_import.media.reading import ImageReader
-from groundwalk.geometry.lens import undistort
+from groundwalk.features.lines import LONG_SIDE, MIN_LINES, planes_of_lines
+from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
 from groundwalk.geometry.vanishing import line_axes
@@ -22,9 +22,6 @@ from groundwalk.store.choices import PoseSource, UpSource
 
 _MAX_IMAGES = 24
 _MIN_IMAGES = 4
-# Shorter lines, in focal lengths, have no sure direction, and fewer say nothing.
-_MIN_LENGTH = 0.06
-_MIN_LINES = 100
 # A hand holds no phone so exactly along the axes of its world: within this by chance once in some million starts, as
 # two angles must be so small at once (the heading may be zero by definition). Logs round to less.
 _EXACT = 1e-4
@@ -115,8 +112,8 @@ def _by_lines(session: Session, reader: ImageReader) -> GravityCheck | None:
     if len(session.images) < _MIN_IMAGES:
         return None
     images = [session.images[i] for i in evenly(len(session.images), _MAX_IMAGES)]
-    lines = list(_planes_of_lines(reader.gray(images, WORKING_LONG_SIDE)))
-    if sum(len(lengths) for _, lengths in lines) < _MIN_LINES:
+    lines = list(_planes_of_lines(reader.gray(images, LONG_SIDE)))
+    if sum(len(lengths) for _, lengths in lines) < MIN_LINES:
         return None
     normals, lengths = (np.concatenate(part) for part in zip(*lines, strict=True))
     axes = line_axes(normals, lengths)
@@ -130,19 +127,8 @@ def _by_lines(session: Session, reader: ImageReader) -> GravityCheck | None:
 
 
 def _planes_of_lines(views: Iterable[tuple[Image, Gray]]) -> Iterator[tuple[Array, Array]]:
-    """Of each image's lines: unit normals (N, 3), in the world, of their planes through the camera's centre, and their
-    lengths (N,) in focal lengths."""
-    detector = cv2.createLineSegmentDetector()
     for image, gray in views:
-        segments, camera, pose = detector.detect(gray)[0], image.camera, image.vio_T_cam
-        assert pose is not None  # a sound image has one
-        if segments is None:
-            continue
-        scale = gray.shape[1] / image.check.width
-        pixels = segments.reshape(-1, 2).astype(float) + 0.5
-        ideal = undistort((pixels / scale - [camera.cx, camera.cy]) / [camera.fx, camera.fy], camera.distortion)
-        ends = np.column_stack([ideal, np.ones(len(ideal))]).reshape(-1, 2, 3)
-        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        ends, length = ends[length > _MIN_LENGTH], length[length > _MIN_LENGTH]
-        normals = np.cross(ends[:, 0], ends[:, 1])
-        yield normals / np.linalg.norm(normals, axis=1, keepdims=True) @ pose[:3, :3].T, length
+        assert image.vio_T_cam is not None  # a sound image has one
+        k, check = image.camera, image.check
+        camera = Camera(check.width, check.height, k.fx, k.fy, k.cx, k.cy, k.distortion)
+        yield planes_of_lines(gray, camera, image.vio_T_cam[:3, :3])

@@ -24,7 +24,7 @@ _MIN_STEPS = 8
 # Noise of the length of a step, however short: both ends in VIO and in SfM.
 _LENGTH_SD_M = 0.003
 # A scale with a larger standard error, as a fraction, is None: twice that is two thirds of it.
-_MAX_SCALE_SD = 1 / 3
+UNKNOWN_SCALE_SD = 1 / 3
 # Frames that VIO has so far apart and SfM in one place are wrong, not at rest.
 _COLLAPSED_M = 0.3
 
@@ -88,7 +88,7 @@ def recording_scale(
     # Noise makes any length longer, all steps alike.
     noise = (_LENGTH_SD_M * len(length) / walked_m) ** 2 / (effective if goes_along else 1.0)
     relative_sd = float(np.sqrt(scatter + expected + noise)) / mean
-    if relative_sd > _MAX_SCALE_SD:
+    if relative_sd > UNKNOWN_SCALE_SD:
         return None
     return Scale(float(np.log(mean * median)), relative_sd, len(length))
 

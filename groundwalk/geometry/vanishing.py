@@ -1,5 +1,5 @@
-"""Is +y up by the straight lines in images? Edges of most rooms and houses run along three directions at right angles,
-one of which is vertical.
+"""Which way is up by the straight lines in images? Edges of most rooms and houses run along three directions at right
+angles, one of which is vertical.
 
 A line's image and the camera's centre span a plane in which the line's direction lies: edges along one direction have
 planes whose normals are at right angles to it, in whatever images they are seen. After Coughlan and Yuille, "Manhattan
@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from groundwalk.geometry.fits import rotation_to_up
 from groundwalk.geometry.poses import Array
 
 # A line counts less the further its normal is from a right angle to an axis, and nothing from here on; an axis is
@@ -29,6 +30,9 @@ _MAX_LINES = 2000
 # rooms, corridors and houses they explain 0.43 and more, 0.09 the least axis, 2.4 times the others'; of a chair in the
 # middle or a board on the floor the best axes have 0.07 and 0.03 on the least (docs/explanation/import.md).
 _MIN_EXPLAINED, _MIN_AXIS, _MIN_RATIO = 0.35, 0.06, 2.0
+# Of a walk with upright images the mean of the cameras' up is within 16 degrees of the vertical axis; of images that
+# look down at a table it is 78 off.
+_MAX_FROM_CAMERAS = np.radians(30.0)
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,27 @@ class LineAxes:
     tilted: float
     tilt: float
     is_up: bool | None
+
+
+def up_by_lines(normals_N3: Array, lengths_N: Array, world_R_cam: Array) -> tuple[Array, LineAxes] | None:
+    """Up (3,) in a world whose vertical isn't known, and what lines say of it: of the best three axes the one that the
+    upright images' mean up is near to, and that the cameras (K, 3, 3) turn about more than about the others. None where
+    they aren't the axes of a room, or none is both."""
+    longest = np.argsort(-lengths_N, kind="stable")[:_MAX_LINES]
+    normals, weights = normals_N3[longest], lengths_N[longest]
+    fitted = [_fitted(axes, normals, weights) for axes in _candidates(normals, weights)]
+    best = max(fitted, key=lambda axes: float(_explained(axes, normals, weights).sum()))
+    cameras_up = -world_R_cam[:, :, 1].mean(axis=0)
+    towards = best @ cameras_up / max(float(np.linalg.norm(cameras_up)), 1e-12)
+    nearest = int(np.abs(towards).argmax())
+    first, second = np.triu_indices(len(world_R_cam), 1)
+    turns = Rotation.from_matrix(world_R_cam[second] @ np.swapaxes(world_R_cam[first], 1, 2)).as_rotvec()
+    turned_about = int(np.abs(turns @ best.T).sum(axis=0).argmax())
+    if nearest != turned_about or np.abs(towards[nearest]) < np.cos(_MAX_FROM_CAMERAS):
+        return None
+    up = best[nearest] * np.sign(towards[nearest])
+    found = line_axes(normals_N3 @ rotation_to_up(up).T, lengths_N)
+    return (up, found) if found.is_up else None
 
 
 def line_axes(normals_N3: Array, lengths_N: Array) -> LineAxes:

@@ -88,12 +88,13 @@ class NotRegistered(StrEnum):
 
 
 class ScaleSource(StrEnum):
-    """What gives a map its metric scale. A table's text may name rulers instead (`ruler: <names>`), and end with
-    `, uncertain`."""
+    """What gives a map its metric scale. A table's text may name rulers or a survey instead (`ruler: <names>`,
+    `control: <name>`), and end with `, uncertain`."""
 
     VIO = "vio"
     REFERENCE = "reference"
     REFERENCE_UNIT_UNKNOWN = "reference, unit unknown"
+    GPS = "gps"
     NONE = "none"
 
 
@@ -120,12 +121,15 @@ class VerticalSource(StrEnum):
     GRAVITY = "gravity"
     REFERENCE = "reference"
     REFERENCE_UP_UNKNOWN = "reference, up unknown"
+    CONTROL = "control points"
+    LINES = "lines in the images"
+    GPS = "gps"
     NONE = "none"
 
     @property
     def is_known(self) -> bool:
         """The map's +y is up."""
-        return self in (VerticalSource.GRAVITY, VerticalSource.REFERENCE)
+        return self not in (VerticalSource.REFERENCE_UP_UNKNOWN, VerticalSource.NONE)
 
 
 class LengthUnit(StrEnum):

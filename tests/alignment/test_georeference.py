@@ -11,12 +11,14 @@ import pandas as pd
 import pytest
 
 from groundwalk.alignment.check_models import check_models
-from groundwalk.alignment.components import NO_SCALE, PlacedComponent
+from groundwalk.alignment.components import NO_SCALE, NOT_GIVEN, GivenFrame, PlacedComponent
 from groundwalk.alignment.definition import STAGE
 from groundwalk.alignment.georeference import NoGeoreference, of_gps
+from groundwalk.alignment.given_frame import by_gps
 from groundwalk.alignment.ground_truth import poses_in_map
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.geometry.earth import ENU_R_YUP, enu_of, geodetic_of
+from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, yaw_rotation
 from groundwalk.store import DataRoot, execute
 from groundwalk.store.choices import VerticalSource
@@ -91,6 +93,29 @@ def test_walks_lie_where_the_phones_were_within_the_stated_bounds(kind: str, wal
         assert np.isnan(geodetic[:, 2]).all() == (kind == "no altitude") and np.isfinite(enu[:, :2]).all()
     share = np.concatenate(inside).mean()
     assert share >= 0.85, share
+
+
+def test_positions_give_a_map_of_images_alone_scale_and_vertical(walks: Walks) -> None:
+    """And the georeference's bounds have the scale's error in them still."""
+    scene = walks.make(seed=2, frames=120)
+    gps = fixes(scene, 2)
+    scene.frames[[name for name in scene.frames if name.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    frames = scene.frames.assign(clock="boot")
+
+    def placed_and_found(given: GivenFrame) -> tuple[PlacedComponent, Georeference]:
+        (placed,) = check_models(scene.inputs(given=given), AlignSettings()).placed
+        found = of_gps(gps, frames, scene.recordings, poses_in_map(scene.images, [placed]), [placed])
+        return placed, found
+
+    placed, found = placed_and_found(NOT_GIVEN)
+    metric, again = placed_and_found(by_gps(found, placed))
+    scale, vertical = metric.component.scale, metric.component.vertical
+    assert scale.source.startswith("gps") and vertical.source == "gps"
+    truth = fit_sim3(scene.true_T_cam[:, :3, 3], poses_of(scene.images, "sfm_cam")[:, :3, 3])
+    assert abs(scale.log - np.log(truth.scale)) < 3 * scale.sd < 0.3
+    assert np.arccos(vertical.up_sfm @ truth.rotation[1]) < 4 * vertical.sd < np.radians(20)
+    assert again.enu_S_map.scale == pytest.approx(1, abs=1e-6) and not again.gives_scale
+    np.testing.assert_allclose(again.covariance[6, 6], found.covariance[6, 6], rtol=1e-3)
 
 
 def of_another_place(gps: pd.DataFrame) -> pd.DataFrame:

@@ -121,7 +121,7 @@ def test_of_a_map_of_images_alone_no_sigma_is_said(make_run: MakeRun) -> None:
     for name in LATER:
         shutil.rmtree(data.run("tiny", "Yard", name))
     page, verdict = judged(data, "Yard")
-    assert verdict["verdict"] == "undecided" and "without scale or vertical: 39 of 40 are in the map" in verdict["why"]
+    assert verdict["verdict"] == "undecided" and ": 39 of 40 are in the map" in verdict["why"]
     assert {frame["position_sd"] for frame in verdict["frames"]} == {None}
     assert "look-alike places may be one in it" in page
 

@@ -32,11 +32,13 @@ ground_truth 2.0: One row a frame: where its camera was in the map (metric, +y u
     quality (QualityClass): quality class (docs/explanation/ground-truth.md)
     reason (string): why quality is B, C or none, with the figure and its limit; empty for A
     gt_uses_vio (bool): VIO positions took part: in the bundle adjustment, or in placing its model
-    scale_source (string?): what gives it its metric scale: vio, ruler: names, or reference (import.reference, in
-        metres); with ', uncertain' where its standard error is above 2 %; none: all lengths are in SfM's unit;
-        reference, unit unknown: all lengths are in the reference's unit; null without ground truth
-    vertical_source (VerticalSource?): what gave the map its +y: gravity; reference (whose +y is up); reference, up
-        unknown: the map has the reference's axes; none: +y may point anywhere; null without ground truth
+    scale_source (string?): what gives it its metric scale: vio, ruler: names, control: a survey's name, gps, or
+        reference (import.reference, in metres); with ', uncertain' where its standard error is above 2 %; none: all
+        lengths are in SfM's unit; reference, unit unknown: all lengths are in the reference's unit; null without ground
+        truth
+    vertical_source (VerticalSource?): what gave the map its +y: gravity; reference (whose +y is up); control points;
+        lines in the images; gps; reference, up unknown: the map has the reference's axes; none: +y may point anywhere;
+        null without ground truth
     f{xy} (float64, px): focal length, {}, that goes with the pose; as calibrated where SfM has none
     c{xy} (float64, px): principal point, {}; the first pixel's outer corner is 0
     distortion (list<float64>): OpenCV's k1, k2, p1, p2, k3, ... that go with the pose

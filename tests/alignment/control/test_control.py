@@ -1,5 +1,6 @@
 """Control points from files to a check: within their bounds where all is right, and named where a survey is wrong."""
 
+import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,19 +13,23 @@ import pandas as pd
 import pytest
 
 from groundwalk.alignment.check_models import check_models
-from groundwalk.alignment.components import NO_SCALE, PlacedComponent
+from groundwalk.alignment.components import NO_SCALE, NOT_GIVEN, GivenFrame, PlacedComponent
 from groundwalk.alignment.control.check import ControlCheck, check_control, describe
 from groundwalk.alignment.control.points import find_points
 from groundwalk.alignment.control.settings import controls_of
 from groundwalk.alignment.control.tables import control_table, draw_control, points_table
 from groundwalk.alignment.definition import STAGE
 from groundwalk.alignment.georeference import of_surveys
+from groundwalk.alignment.given_frame import by_surveys
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.geometry.earth import geodetic_of
+from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse, transform
 from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.files import write_json
+from groundwalk.store.manifests import output_hashes
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import camera_of, poses_of, read_table
+from groundwalk.store.tables import camera_of, poses_of, read_table, write_table
 from tests.known import cells, there
 from tests.known import rows as records
 from tests.synthetic_walks import Scene, Walks
@@ -149,6 +154,33 @@ def test_a_survey_in_wgs84_places_the_map_on_earth(place: tuple[Scene, Array], t
     np.testing.assert_allclose(found[0][:, :2], earth.iloc[:, :2], atol=3e-7)
 
 
+def test_a_survey_gives_a_map_of_images_alone_scale_and_vertical(place: tuple[Scene, Array], tmp_path: Path) -> None:
+    """And half of its points, by a fit of the others with a scale of their own, judge it."""
+    scene, xyz = replace(place[0], frames=place[0].frames.copy()), place[1]
+    judged(scene, xyz, tmp_path)
+    scene.frames[[name for name in scene.frames if name.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    table = {"points": "survey.csv", "images": "seen.csv", "sd_m": SD_M, "pixel_sd": 0.5}
+    (settings,) = controls_of([table])
+    points = find_points(settings, scene.frames, tmp_path, Path)
+
+    def checked_by(given: GivenFrame) -> tuple[ControlCheck, PlacedComponent]:
+        checked = check_models(scene.inputs(given=given), AlignSettings())
+        usable = checked.frames.has_ground_truth
+        return check_control(points, scene.frames, scene.images, checked.placed, usable), checked.placed[0]
+
+    check, placed = checked_by(NOT_GIVEN)
+    assert placed.component.scale.source == "none" and placed.component.vertical.source == "none"
+    again, metric = checked_by(by_surveys([check], placed))
+    component = metric.component
+    assert component.scale.source == "control: control" and component.vertical.source == "control points"
+    assert abs(component.scale.log + np.log(0.37)) < 4 * component.scale.sd < 0.01
+    up = fit_sim3(place[0].true_T_cam[:, :3, 3], poses_of(scene.images, "sfm_cam")[:, :3, 3]).rotation[1]
+    assert np.arccos(component.vertical.up_sfm @ up) < 4 * component.vertical.sd < np.radians(1)
+    assert again.sets_scale and again.used.all() and again.held_out.all() and again.result.status == "passed"
+    assert "sets the map's scale ±" in describe(again) and "tilt" not in describe(again)
+    np.testing.assert_allclose(again.error_m, check.error_m, atol=1e-3)
+
+
 def one_wrong(enu: Array) -> Array:
     enu[4, 1] += 1.0
     return enu
@@ -252,3 +284,17 @@ def test_align_writes_tables_and_picture(data: DataRoot) -> None:
     assert survey.fit == "se3" and survey.used >= 6 and survey.rms_m < 0.1 and survey.tilt_deg < 1
     assert points["point"].tolist() == NAMES[:7] and "control_points" in checks["check"].tolist()
     assert (align / "control.png").is_file()
+    # Without VIO it is the survey that makes the map metric and upright.
+    imported = data.run("tiny", "Place", "import")
+    frames[[name for name in frames if name.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    write_table(imported / "frames.parquet", frames, schema("import", "frames"))
+    manifest = json.loads((imported / "manifest.json").read_text())
+    write_json(imported / "manifest.json", manifest | {"outputs": output_hashes(imported)})
+    execute(STAGE, "Place", "tiny", data, force=True)
+    aligned = read_table(align / "ground_truth.parquet", schema("align", "ground_truth"))
+    assert set(aligned["scale_source"].dropna()) == {"control: control"}
+    assert set(aligned["vertical_source"].dropna()) == {"control points"}
+    found = poses_of(aligned, "map_cam")
+    has_truth = np.isfinite(found[:, 0, 0])
+    by_truth = fit_sim3(poses[has_truth, :3, 3], found[has_truth, :3, 3])
+    assert abs(by_truth.scale - 1) < 0.05 and by_truth.rotation[1, 1] > np.cos(np.radians(3))
