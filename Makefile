@@ -141,6 +141,9 @@ bench-gates: $(installed) #! Broken and clean simulated captures, and what the c
 bench-real: $(installed) #! Real captures beside stock COLMAP (docs/results); captures=<folder>: yours, too; stability=1: resampled
 	@$(py) -m benchmarks.real $(if $(captures),--capture "$$captures") $(if $(stability),--stability)
 
+bench-images: $(installed) #! Photos and video alone, of real captures, against the phone's poses (docs/results)
+	@$(py) -m benchmarks.images_alone
+
 bench-cameras: $(installed) #! Simulated phones whose lens, shutter and focus are unknown (docs/results); hours
 	@$(py) -m benchmarks.phone_cameras
 
@@ -176,4 +179,4 @@ help-dev: #! This text
 	@grep -hE '^[a-z-]+:.*#! ' $(MAKEFILE_LIST) | sed 's/:.*#! /\t/' | expand -t 22 | sed 's/^/  /'
 
 .NOTPARALLEL:
-.PHONY: all judge $(stages) simulate install paper public view clean check lint types test test-slow test-faults audit bench-localise bench-phone bench-regressors bench-recovery bench-scale bench-campaign bench-steps bench-gates bench-real bench-cameras bench-blurring docs docs-site pictures test-page lock help help-dev
+.PHONY: all judge $(stages) simulate install paper public view clean check lint types test test-slow test-faults audit bench-localise bench-phone bench-regressors bench-recovery bench-scale bench-campaign bench-steps bench-gates bench-real bench-images bench-cameras bench-blurring docs docs-site pictures test-page lock help help-dev
