@@ -7,7 +7,7 @@ from groundwalk.fusion.methods.last_good import LastGood
 from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.fusion.methods.odometry import PairOptions
 from groundwalk.fusion.methods.paper_rule import PaperRule, PaperRuleOptions
-from groundwalk.fusion.methods.pose_graph import PoseGraph, PoseGraphOptions
+from groundwalk.fusion.methods.pose_graph import GlobalGraphOptions, PoseGraph, PoseGraphOptions
 from groundwalk.fusion.methods.raw import Raw
 from groundwalk.fusion.methods.smoother import Smoother
 from groundwalk.fusion.methods.vio_oracle import VioOracle, VioOracleOptions
@@ -60,6 +60,15 @@ POSE_GRAPH = Method(
     colour=(200, 200, 200),
     make=PoseGraph,
     options=PoseGraphOptions,
+    causal=True,
+)
+GLOBAL_GRAPH = Method(
+    id="global_graph",
+    label="global_graph",
+    meaning="global pose graph, as VINS-Fusion's: the walk so far, Huber's loss",
+    colour=(120, 120, 120),
+    make=PoseGraph,
+    options=GlobalGraphOptions,
     causal=True,
 )
 ERROR_STATE = Method(

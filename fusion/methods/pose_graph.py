@@ -1,11 +1,14 @@
-"""Method `pose_graph`: the last few frames as a chain, held by predictions and by odometry's steps between them.
+"""Methods `pose_graph` and `global_graph`: frames as a chain, held by predictions and odometry's steps between them.
 
 The post-processing of MapNet (Brahmbhatt et al., CVPR 2018, section 3.4) on a sliding window: each prediction is an
-absolute measurement, odometry gives the relative ones, and the window's poses are those that fit both best.
+absolute measurement, odometry gives the relative ones, and the window's poses are those that fit both best. And the
+global pose graph of VINS-Fusion (Qin et al., arXiv:1901.03642), which keeps the walk and has Huber's loss, with
+predictions in place of GPS.
 """
 
 from collections import deque
-from math import radians
+from math import inf, radians
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -22,6 +25,12 @@ class PoseGraphOptions(OdometryOptions):
     rotation_sd_deg: float = Field(4.0, gt=0, description="a prediction's rotation error an axis")
     step_sd_m: float = Field(0.05, gt=0, description="odometry's position error from one of them to the next, an axis")
     step_sd_deg: float = Field(0.3, gt=0, description="odometry's rotation error from one of them to the next, an axis")
+    huber: ClassVar[float] = inf  # standard deviations
+
+
+class GlobalGraphOptions(PoseGraphOptions):
+    frames: int = Field(500, ge=2, description="frames with a prediction that the graph holds")
+    huber: ClassVar[float] = 1.0
 
 
 class PoseGraph(OdometryLocaliser):
@@ -66,5 +75,6 @@ class PoseGraph(OdometryLocaliser):
             guess,
             measured_sd=(o.position_sd_m, radians(o.rotation_sd_deg)),
             step_sd=(o.step_sd_m, radians(o.step_sd_deg)),
+            huber=o.huber,
         )
         self._window.extend(zip(predicted, vio, solved, strict=True))

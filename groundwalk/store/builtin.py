@@ -49,8 +49,8 @@ BUILTIN: dict[str, dict[str, str]] = {
     "groundwalk.structure_localisers": _records("localisation.entries", "Map", "HLoc", "HLoc-XFeat"),
     "groundwalk.regressors": _records("training.entries", "PN", "MS-T", "PN-Lite"),
     "groundwalk.fusion_methods": {
-        **_records("fusion.methods.entries", "raw", "paper_rule", "last_good", "window30", "pose_graph", "error_state"),
-        **_records("fusion.methods.entries", "drift_aware", "smoother", "vio_oracle"),
+        **_records("fusion.methods.entries", "raw", "paper_rule", "last_good", "window30", "pose_graph"),
+        **_records("fusion.methods.entries", "global_graph", "error_state", "drift_aware", "smoother", "vio_oracle"),
     },
     "groundwalk.exporters": {
         **_records("export.entries", "colmap", "colmap-text", "tum", "nerfstudio", "splat"),

@@ -25,7 +25,7 @@ from tests.fusion.random_walks import random_walk
 from tests.fusion.upright_walks import as_walk, upright_walk
 from tests.known import there
 
-BASELINES = ["last_good", "window30", "pose_graph", "error_state"]
+BASELINES = ["last_good", "window30", "pose_graph", "global_graph", "error_state"]
 
 
 def poses(estimates: Iterable[Estimate]) -> Array:
@@ -114,7 +114,8 @@ def test_window_fits_its_pairs_better_than_any_alignment_nearby() -> None:
             assert cost(moved) > cost(answer)
 
 
-def test_chain_is_at_the_least_cost() -> None:
+@pytest.mark.parametrize("huber", [np.inf, 1.0])
+def test_chain_is_at_the_least_cost(huber: float) -> None:
     """Against scipy's general solver, on poses that are turned any way."""
     rng = np.random.default_rng(4)
     truth = make_pose(Rotation.random(6, rng=rng).as_matrix(), rng.normal(0, 2, (6, 3)))
@@ -126,12 +127,14 @@ def test_chain_is_at_the_least_cost() -> None:
     measured, steps = wrong(truth, 0.5, 0.1), wrong(relative(truth[:-1], truth[1:]), 0.05, 0.02)
     measured[2, :3, 3] += 5.0
     sds = {"measured_sd": (0.5, 0.1), "step_sd": (0.05, 0.02)}
-    solved, covariance = smooth_chain(measured, steps, measured, **sds)
+    solved, covariance = smooth_chain(measured, steps, measured, **sds, huber=huber)
 
     def residuals(v: Array) -> Array:
         chain = make_pose(Rotation.from_rotvec(v[:, :3]).as_matrix(), v[:, 3:])
         turn = Rotation.from_matrix(measured[:, :3, :3].swapaxes(1, 2) @ chain[:, :3, :3]).as_rotvec() / 0.1
         own = np.hstack([turn, (chain[:, :3, 3] - measured[:, :3, 3]) / 0.5])
+        sds = np.linalg.norm(own, axis=1, keepdims=True)
+        own *= np.sqrt(np.where(sds <= huber, sds**2, 2 * min(huber, 1e9) * sds - min(huber, 1e9) ** 2)) / sds
         left = inverse(steps) @ relative(chain[:-1], chain[1:])
         turn = Rotation.from_matrix(left[:, :3, :3]).as_rotvec() / 0.02
         off = (relative(chain[:-1], chain[1:])[:, :3, 3] - steps[:, :3, 3]) / 0.05
