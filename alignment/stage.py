@@ -271,11 +271,7 @@ def _describe_scale(scale: MapScale, has_vio: bool) -> str:
         return f"NO METRIC SCALE: all lengths are in the reference's unknown unit, {per_unit}"
     if not scale.is_known:
         why = "VIO hardly moves" if has_vio else "there is no VIO"
-        add = (
-            "a longer walk or a ruler"
-            if has_vio
-            else "a ruler, surveyed points or a recording with VIO of the same place"
-        )
+        add = "a longer walk or a ruler" if has_vio else "a ruler, surveyed points or a recording with VIO"
         return f"NO METRIC SCALE: {why}, all lengths are in SfM's unit; add {add}"
     by = scale.by if scale.rulers or scale.reference or scale.given_by else f"{len(scale.recordings)} VIO recordings"
     if scale.reference:
