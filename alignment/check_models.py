@@ -37,6 +37,8 @@ from groundwalk.store.hints import setting_of
 
 # A frame of class A or B is within these of its true pose with 95 %: a reference pose further away confirms neither.
 _CONFIRMED_M, _CONFIRMED_RAD = 0.25, float(np.radians(2.0))
+# Where more of the frames than this contradict a reference, the others may agree with it by chance.
+_MAX_CONTRADICTING = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,6 +184,11 @@ def _check_by_reference(
     away = f"more than {_CONFIRMED_M} m or {np.degrees(_CONFIRMED_RAD):.0f} degrees from its reference pose"
     problem = np.where(np.isfinite(residual_m), np.where(is_confirmed, "", away), "no reference pose").astype(object)
     components = [each.component for each in placed]
+    refused = exclusion_reasons(checks, inputs.sfm.not_registered) != ""
+    for component in components:
+        compared = component.registered_rows[np.isfinite(residual_m[component.registered_rows])]
+        if refused[compared].mean() > _MAX_CONTRADICTING:
+            problem[compared] = f"{refused[compared].sum()} of {len(compared)} frames contradict the reference"
     return CheckedMap(
         components=components,
         placed=placed,

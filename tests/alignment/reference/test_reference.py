@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.alignment.check_models import check_models
 from groundwalk.alignment.definition import STAGE
-from groundwalk.alignment.ground_truth import AlignResult
+from groundwalk.alignment.ground_truth import AlignResult, build
 from groundwalk.alignment.plot import draw_checks
 from groundwalk.alignment.reference.agreement import describe_agreement
 from groundwalk.alignment.reference.poses import Reference
@@ -106,6 +106,17 @@ def test_what_the_reference_does_not_confirm_is_class_c_and_turned_cameras_are_n
     text = "\n".join(describe_agreement(aligned.reference_agreement, aligned.ground_truth))
     (degrees, *_) = re.findall(r"turned by ([0-9.]+)° \(median\)", text)
     assert float(degrees) == pytest.approx(0.8, abs=0.05) and "principal point" in text
+
+
+@pytest.mark.parametrize("seed", [79, 198])
+def test_six_photos_that_agree_with_a_bad_reference_by_chance_are_not_class_a(walks: Walks, seed: int) -> None:
+    scene = without_vio(walks.make(seed=seed, frames=6, sessions=1, speed_m=0.08, sfm_m=0.001, sfm_deg=0.02))
+    rng, reference = np.random.default_rng(seed), WORLD.poses(scene.true_T_cam)
+    reference[:, :3, 3] += rng.normal(0, 0.02, (6, 3))
+    reference[:, :3, :3] @= Rotation.from_rotvec(np.radians(3) * rng.normal(size=(6, 3))).as_matrix()
+    checked = check_models(scene.inputs(reference=stated(scene, reference)), AlignSettings())
+    quality = build(scene.frames, scene.images, checked, stated(scene, reference)).ground_truth["quality"]
+    assert set(quality) <= {"C", "none"}
 
 
 def test_a_session_in_another_world_is_refused_by_name(walks: Walks) -> None:
