@@ -25,12 +25,9 @@ _KEYS = {
     "times": r"time|stamp",
 }
 _LOGS = (".json", ".jsonl", ".csv", ".txt", ".yaml", ".yml")
-# Lists of poses as trajectory tools (evo) write them, by how many numbers a row has, and how they can be read.
-_LISTS = {
-    8: "TUM's list of poses (time, position, quaternion xyzw); it's read as groundtruth.txt beside rgb.txt, a line an "
-    "image with its time and path",
-    12: "KITTI's list of poses (3x4, in row order); it's read as poses.txt beside calib.txt, times.txt and image_2/",
-}
+# Lists of poses as trajectory tools (evo) write them, by how many numbers a row has.
+_LISTS = {8: "TUM's list of poses (time, position, quaternion xyzw)", 12: "KITTI's list of poses (3x4, in row order)"}
+_READ_BESIDE = "it's read as poses.txt beside its images, or beside images/"
 
 
 def no_capture(root: Path, formats: Sequence[Format], chosen: Format | None, others: str) -> UserError:
@@ -116,7 +113,7 @@ def _unknown_logs(folder: Path) -> Iterable[str]:
     """What the keys of a folder's logs seem to be about."""
     for log in (p for p in in_order(folder.iterdir()) if p.suffix.lower() in _LOGS):
         if listed := _list_of_poses(log):
-            yield f"{log.name} seems to be {listed}"
+            yield f"{log.name} seems to be {listed}; {_READ_BESIDE}"
             continue
         text = first_bytes(log).decode("utf-8", "ignore")
         keys = re.findall(r'"([A-Za-z_]\w{0,40})"\s*:', text) or re.findall(r"[A-Za-z_]\w*", text.partition("\n")[0])

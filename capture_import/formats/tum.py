@@ -24,7 +24,7 @@ from groundwalk.store.choices import Clock, PoseSource
 def read(path: Path, limits: Limits) -> Recording:
     """Read both lists; poses are interpolated where an image lies between two rows."""
     poses, rejects = parsing.read_rows(parsing.lines_of(path / "groundtruth.txt", limits), _read_pose)
-    camera = _camera(path / "camera.txt")
+    camera = camera_beside(path)
 
     def read_image(place: int, line: str) -> RawFrame:
         time, _, name = line.strip().partition(" ")
@@ -56,7 +56,9 @@ def _read_pose(_: int, line: str) -> RawFrame:
     return RawFrame(parsing.seconds_to_ns(values[0]), parsing.quaternion_pose(values[1:4], values[4:8]))
 
 
-def _camera(file: Path) -> Intrinsics | None:
+def camera_beside(folder: Path) -> Intrinsics | None:
+    """What `camera.txt` in a folder states; None where there is none."""
+    file = folder / "camera.txt"
     if not file.is_file():
         return None
     try:

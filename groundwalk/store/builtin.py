@@ -41,6 +41,7 @@ BUILTIN: dict[str, dict[str, str]] = {
             "colmap",
             "nerfstudio",
             "llff",
+            "pose_list",
             "photos",
             "video",
         )

@@ -282,6 +282,15 @@ def write_tum(folder: Path, walk: Walk) -> None:
     _write(folder, files)
 
 
+def write_pose_list(folder: Path, walk: Walk) -> None:
+    """A SLAM system's trajectory beside images that are named by their times."""
+    files = {f"images/{walk.t_ns[i]}.png": walk.png(i) for i in walk.seen}
+    rows = ["# time, position, quaternion", *(_tum_row(walk, i) for i in walk.all)]
+    files["CameraTrajectory.txt"] = "\n".join(rows).encode()
+    files["camera.txt"] = _row(walk.camera[0]).encode()
+    _write(folder, files)
+
+
 def write_euroc(folder: Path, walk: Walk) -> None:
     """EuRoC: poses of a body, world +z up, with one camera for all images."""
     body_T_cam = make_pose(Rotation.from_euler("xyz", [90, 20, 5], degrees=True).as_matrix(), [0.1, -0.2, 0.3])
@@ -449,6 +458,7 @@ WRITERS = {
     "colmap": Written(write_colmap, clock=False),
     "nerfstudio": Written(write_nerfstudio, clock=False),
     "llff": Written(write_llff, camera=False, clock=False),
+    "pose_list": Written(write_pose_list, camera=False),
 }
 
 

@@ -16,7 +16,7 @@ from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.capture_import.sessions import sound_sessions
-from groundwalk.geometry.poses import relative, rotation_angle
+from groundwalk.geometry.poses import relative, rotation_angle, tq_from_pose
 from groundwalk.store import DataRoot, UserError, execute
 from tests.capture_import.capture_writers import (
     HEIGHT,
@@ -163,6 +163,34 @@ def test_two_files_of_one_frame_number_are_named(tmp_path: Path) -> None:
     assert len(raw.frames) == 8
     assert {r.source for r in raw.rejects} == {"frame_3.json", "frame_3.jpg", "frame_00004.JPEG"}
     assert raw.rejects[0].reason == "frame_00003.json has the same frame number"
+
+
+@pytest.mark.parametrize("kind", ["matrix", "name", "order"])
+def test_lists_of_poses_are_joined_with_images_by_name_or_order(tmp_path: Path, kind: str) -> None:
+    walk, root = make_walk(12, every=1), tmp_path / "place"
+    t, q = tq_from_pose(walk.vio_T_cam)
+    rows = {
+        "matrix": [" ".join(map(str, pose[:3].ravel())) for pose in walk.vio_T_cam],
+        "name": [f"images/shot{i}.png {' '.join(map(str, (*t[i], *q[i])))}" for i in reversed(range(12))],
+        "order": [" ".join(map(str, (walk.t_ns[i] * 1e-9, *t[i], *q[i]))) for i in range(12)],
+    }[kind]
+    (root / "images").mkdir(parents=True)
+    for i in range(12):
+        # Numbers are no times, though some lie within the list's.
+        (root / "images" / f"{'' if kind == 'order' else 'shot'}{i}.png").write_bytes(walk.png(i))
+    (root / "poses.txt").write_text("\n".join(rows))
+    raw = read_one(root)
+    assert (raw.format, len(raw.frames), raw.rejects) == ("pose_list", 12, [])
+    for frame in raw.frames:
+        assert isinstance(frame.image, ImageFile)
+        at = int(frame.image.path.stem.removeprefix("shot"))
+        np.testing.assert_allclose(there(frame.vio_T_cam), walk.vio_T_cam[at], atol=1e-6)
+    (root / "poses.txt").write_text("\n".join(rows[:-2]))
+    if kind == "name":
+        assert len(read_one(root).rejects) == 2  # images without a row
+    else:
+        with pytest.raises(UserError, match="10 rows, 12 images"):
+            read_one(root)
 
 
 def test_kitti_poses_beside_the_sequences_are_read_and_a_sequence_without_is_told(tmp_path: Path) -> None:
