@@ -2,18 +2,12 @@
 
 from functools import partial
 
-from groundwalk.export.cambridge import write_cambridge
 from groundwalk.export.colmap import DISTORTION as OF_COLMAP
-from groundwalk.export.colmap import write_colmap
-from groundwalk.export.euroc import write_euroc
+from groundwalk.export.colmap import write_colmap, write_hloc, write_kapture
 from groundwalk.export.exporters import Exporter
-from groundwalk.export.hloc import write_hloc
 from groundwalk.export.huggingface import write_huggingface
-from groundwalk.export.kapture import write_kapture
-from groundwalk.export.nerfstudio import DISTORTION, write_nerfstudio
-from groundwalk.export.seven_scenes import write_seven_scenes
-from groundwalk.export.splat import write_splat
-from groundwalk.export.tum import write_tum
+from groundwalk.export.nerfstudio import DISTORTION, write_nerfstudio, write_splat
+from groundwalk.export.sequences import write_cambridge, write_euroc, write_seven_scenes, write_tum
 
 COLMAP = Exporter(
     id="colmap",

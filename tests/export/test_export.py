@@ -21,11 +21,10 @@ from groundwalk.capture_import.capture import Limits, RawFrame, Recording
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.export import command, huggingface
 from groundwalk.export.__main__ import app
-from groundwalk.export.colmap import camera_fields
+from groundwalk.export.colmap import camera_fields, write_hloc
 from groundwalk.export.dataset import Dataset, load_dataset
 from groundwalk.export.dataset_card import _privacy
 from groundwalk.export.exporters import EXPORTERS
-from groundwalk.export.hloc import write_hloc
 from groundwalk.export.huggingface import _encoded
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.earth import ENU_R_YUP, enu_of

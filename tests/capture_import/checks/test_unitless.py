@@ -16,7 +16,7 @@ from groundwalk.capture_import.checks.plausibility import plausibility_faults
 from groundwalk.capture_import.checks.rows import check_rows
 from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.inspection import inspect_capture
-from groundwalk.capture_import.origin import far_origin, moved
+from groundwalk.capture_import.sessions import far_origin, moved
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store import DataRoot, execute
 from groundwalk.store.choices import PoseSource

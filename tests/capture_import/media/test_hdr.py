@@ -8,8 +8,7 @@ import pytest
 
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.formats.video import read
-from groundwalk.capture_import.media.hdr import HLG, PQ
-from groundwalk.capture_import.media.video import decode, gray_pixels, rgb_pixels
+from groundwalk.capture_import.media.video import HLG, PQ, decode, gray_pixels, rgb_pixels
 
 # CIE 1931 chromaticities x, y of red, green, blue (BT.2020, BT.709), and of white (D65).
 BT2020, BT709 = ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)), ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))

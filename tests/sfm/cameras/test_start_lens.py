@@ -13,7 +13,7 @@ from groundwalk.geometry.lens import distort
 from groundwalk.geometry.poses import make_pose
 from groundwalk.sfm.cameras.lenses import PHONE_K1_K2, LensPrior, prior_lenses, started, with_lenses
 from groundwalk.sfm.cameras.model_adjustment import known_lens
-from groundwalk.sfm.cameras.start_lens import start_lenses
+from groundwalk.sfm.cameras.starts import start_lenses
 from groundwalk.sfm.database import create_database, image_id
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import CameraOrigin

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from groundwalk.sfm.pairs.retrieval import retrieval_pairs, vlad
+from groundwalk.sfm.pairs.selection import retrieval_pairs, vlad
 
 _LANDMARKS, _SEEN, _FRAMES = 600, 120, 30
 
