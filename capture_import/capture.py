@@ -32,8 +32,6 @@ class Limits:
 
 @dataclass(frozen=True)
 class ImageFile:
-    """An image that is a file of the capture."""
-
     path: Path
 
 

@@ -386,7 +386,6 @@ def _unreadable(path: Path, found: object) -> UserError:
 
 
 def is_image(path: Path) -> bool:
-    """Whether a file's name is that of an image."""
     return path.suffix.lower() in SUFFIXES
 
 

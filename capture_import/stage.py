@@ -45,7 +45,6 @@ _VIO = ["t_ns", "vio_cam_tx", "vio_cam_ty", "vio_cam_tz"]
 
 
 def run(r: StageRun[ImportSettings]) -> None:
-    """Import the scene's captures."""
     settings, root = r.settings, r.captures.resolve()
     face_model = r.data.root / settings.face_model if settings.face_model else None
     # Before images are read, as one may be missing.
@@ -255,7 +254,6 @@ def _refuse_unusable(sessions: Sequence[Session], root: Path) -> None:
 
 
 def _reasons(sessions: Sequence[Session], separator: str) -> str:
-    """The most frequent reasons of rejects."""
     counts = Counter(grouped_reasons([reject.reason for session in sessions for reject in session.rejects]))
     return separator.join(f"{n} x {printable(reason)}" for reason, n in counts.most_common(3))
 

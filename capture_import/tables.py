@@ -144,7 +144,6 @@ def rejects_table(sessions: Sequence[Session], left_out: Mapping[str, UserError]
 
 
 def jumps_table(sessions: Sequence[Session]) -> pd.DataFrame:
-    """Rows of `jumps`."""
     rows = [(s.session_id, j.t_ns, j.dt_s, j.jump_m, j.jump_deg, j.splits) for s in sessions for j in s.jumps]
     return pd.DataFrame(rows, columns=["session_id", "t_ns", "dt_s", "jump_m", "jump_deg", "splits"])
 

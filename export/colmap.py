@@ -117,7 +117,6 @@ def model_in_map(dataset: Dataset, sfm_model: SfmModel, names: Sequence[str]) ->
 
 
 def write_model(model: pycolmap.Reconstruction, folder: Path, *, text: bool = False) -> None:
-    """Write a model into a new folder."""
     folder.mkdir(parents=True)
     (model.write_text if text else model.write_binary)(folder)
 

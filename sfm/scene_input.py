@@ -139,7 +139,6 @@ def extracted_features(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Wor
 
 
 def logged_cameras(r: StageRun[SfmSettings], frames: pd.DataFrame, sessions: pd.DataFrame) -> CameraLog:
-    """The cameras of all frames before a model of them is adjusted."""
     devices = dict(zip(sessions["session_id"], sessions["device"], strict=True))
     return camera_log(frames, devices, r.read("import", "vio"), r.read("import", "jumps"), r.settings)
 
@@ -147,7 +146,6 @@ def logged_cameras(r: StageRun[SfmSettings], frames: pd.DataFrame, sessions: pd.
 def with_start_lenses(
     r: StageRun[SfmSettings], frames: pd.DataFrame, vio: Odometry, work: Workspace, cameras: CameraLog
 ) -> CameraLog:
-    """The cameras with the lenses that mapping starts from."""
     if r.settings.refine_cameras == "never":
         return cameras
     path = work.scratch / "start_lenses.json"

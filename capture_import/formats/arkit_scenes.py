@@ -21,7 +21,6 @@ _IMAGES = ("wide", "vga_wide", "lowres_wide")
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the trajectory and the images; poses are interpolated where an image lies between two rows."""
     poses, rejects = parsing.read_rows(parsing.lines_of(path / "lowres_wide.traj", limits), _read_pose)
     folder = next(path / name for name in _IMAGES if (path / name).is_dir())
     images, more = parsing.read_rows(

@@ -26,7 +26,6 @@ _LISTS = {"dataset_train.txt": SessionSplit.TRAIN, "dataset_test.txt": SessionSp
 
 
 def detect(path: Path) -> bool:
-    """A folder of images beside dataset_train.txt or dataset_test.txt."""
     return (
         path.is_dir()
         and any((path.parent / name).is_file() for name in _LISTS)
@@ -35,7 +34,6 @@ def detect(path: Path) -> bool:
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the rows of both lists that lie in this folder."""
     rows: list[tuple[str, tuple[SessionSplit, str]]] = []
     for file, split in ((path.parent / name, split) for name, split in _LISTS.items()):
         of_split = (

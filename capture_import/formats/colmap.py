@@ -144,14 +144,12 @@ def _read_models(path: Path, folders: tuple[Path, ...], limits: Limits, written:
 
 
 def detect(path: Path) -> bool:
-    """A folder with a model in sparse/0, sparse or itself beside a folder of its images, or a folder below that."""
     data_set = data_set_of(path, _images_of)
     images = None if data_set is None else _images_of(data_set)
     return images is not None and images.is_dir()
 
 
 def missing(path: Path) -> str:
-    """What a folder with a model lacks: the images that it names."""
     try:
         data_set = _read_data_set(path, Limits())
     except UserError:
@@ -160,7 +158,6 @@ def missing(path: Path) -> str:
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the images of one recording."""
     folder = data_set_of(path, _images_of) or path
     data_set = _read_data_set(folder, limits)
     assert data_set is not None  # `detect` has seen a model
@@ -243,7 +240,6 @@ def _with_shared_cameras(found: _Model) -> _Model:
 
 
 def _read_model(folder: Path, limits: Limits) -> _Model:
-    """A model as it's written."""
     suffix, most = _suffix_in(folder), limits.max_rows
     cameras, images = folder / f"cameras{suffix}", folder / f"images{suffix}"
     try:

@@ -19,7 +19,6 @@ _TRUTH = ("mav0/state_groundtruth_estimate0/data.csv", "mav0/mocap0/data.csv")
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read both lists; poses are interpolated where an image lies between two rows."""
     camera = path / "mav0" / "cam0"
     try:
         text = parsing.read_text(camera / "sensor.yaml")

@@ -19,7 +19,6 @@ _CLOCKS = [clock for clock in Clock if clock.has_times]
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the header and the rows."""
     lines = parsing.lines_of(path / "frames.jsonl", limits)
     header = _header(path, lines[0][1] if lines else "")
 

@@ -18,7 +18,6 @@ from groundwalk.store.choices import Clock
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read poses and images and join them by time; images and video frames belong together by number."""
     poses, rejects = parsing.read_rows(parsing.lines_of(path / "ARposes.txt", limits), _read_pose)
     rows = parsing.lines_of(path / "Frames.txt", limits)
     video = path / "Frames.m4v"

@@ -27,13 +27,11 @@ def _poses_of(path: Path) -> Path:
 
 
 def detect(path: Path) -> bool:
-    """A sequence with poses: its own, or those of the data set."""
     names = [path / "calib.txt", path / "times.txt", _poses_of(path)]
     return all(name.is_file() for name in names) and any((path / folder).is_dir() for folder in _FOLDERS)
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the poses and join them to times and images by number."""
     folder = next(path / name for name in _FOLDERS if (path / name).is_dir())
     camera, cam0_T_cam = _camera(path / "calib.txt", f"P{folder.name[-1]}", limits)
     times = [line for _, line in parsing.lines_of(path / "times.txt", limits)]

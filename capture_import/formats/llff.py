@@ -25,7 +25,6 @@ _BROKEN = (ValueError, OSError, EOFError, SyntaxError, TokenError, TypeError, Ov
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the rows and join the images by their order."""
     file = path / _FILE
     try:
         # Mapped: a header may claim any number of rows.

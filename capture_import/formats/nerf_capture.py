@@ -17,12 +17,10 @@ from groundwalk.store.hints import setting_of
 
 
 def detect(path: Path) -> bool:
-    """A folder with images and a transforms.json that has a time in its first bytes."""
     return (path / "images").is_dir() and b'"timestamp"' in parsing.first_bytes(path / "transforms.json")
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the frames and put them in the order of time."""
     rows = parsing.json_of(path / "transforms.json", limits).get("frames")
     if not isinstance(rows, list) or not any(isinstance(row, dict) and "timestamp" in row for row in rows):
         raise UserError(

@@ -91,19 +91,16 @@ def _moved(data_set: Path, images: list[Path]) -> list[Path]:
 
 
 def missing(path: Path) -> str:
-    """What a folder with a transforms.json lacks: the images that it names."""
     logs = _logs(path)
     lost = _lost(logs, _written(logs)) if logs else []
     return lost_images([image.relative_to(path).as_posix() for image in lost]) if lost else ""
 
 
 def detect(path: Path) -> bool:
-    """A folder with a transforms.json that has no times, or one a split, or one of its folders of images."""
     return data_set_of(path, _images_of) is not None
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the frames of one recording."""
     data_set = data_set_of(path, _images_of) or path
     rows: list[tuple[str, Path, tuple[Array, dict[str, Any]]]] = []
     nameless: list[Reject] = []

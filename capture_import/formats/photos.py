@@ -58,7 +58,6 @@ class _Photo(NamedTuple):
 
 
 def detect(path: Path) -> bool:
-    """Three images or more, in a folder or in its `images`, `input`, `frames` or `photos`."""
     return path.is_dir() and len(images_in(_images_folder(path))) >= _MIN_PHOTOS
 
 

@@ -14,7 +14,6 @@ from groundwalk.store.choices import Clock
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the camera files in the order of their times and join images by name."""
     cameras = path / "keyframes" / "cameras"
     files = sorted((p for p in cameras.glob("*.json") if p.stem.isdecimal()), key=lambda p: int(p.stem))
     image_of = parsing.by_stem(parsing.images_in(path / "keyframes" / "images"))

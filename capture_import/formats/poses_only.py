@@ -26,7 +26,6 @@ _TAGS = re.compile(r"(\s+TAG\d+)+\s*$")
 
 
 def read_arkit(path: Path, limits: Limits) -> Recording:
-    """Read the poses."""
 
     def read_row(_: int, line: str) -> RawFrame:
         time_ns, *matrix = parsing.split_numbers(line, 13)
@@ -38,7 +37,6 @@ def read_arkit(path: Path, limits: Limits) -> Recording:
 
 
 def read_arcore(path: Path, limits: Limits) -> Recording:
-    """Read the poses, without rows that only add a tag to the one before them."""
     lines = parsing.lines_of(path, limits)
     times = [line.split()[0] for _, line in lines]
     rows = [
@@ -60,12 +58,10 @@ def read_arcore(path: Path, limits: Limits) -> Recording:
 
 
 def is_invisible_map(path: Path) -> bool:
-    """A JSON file that has pose_data."""
     return path.suffix == ".json" and b'"pose_data"' in parsing.first_bytes(path, 64 << 20)
 
 
 def read_invisible_map(path: Path, limits: Limits) -> Recording:
-    """Read the poses."""
     rows = parsing.json_of(path, limits).get("pose_data")
     if not isinstance(rows, list):
         raise UserError("pose_data is no list", where=path, expected="objects with timestamp and pose")

@@ -19,7 +19,6 @@ from groundwalk.store.choices import Clock
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the poses and join them to images by number."""
     metadata = path / "metadata" if (path / "metadata").is_file() else path / "metadata.json"
     images = path / "rgbd" if (path / "rgbd").is_dir() else path / "rgb"
     content = parsing.json_of(metadata, limits)

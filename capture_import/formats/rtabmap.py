@@ -16,7 +16,6 @@ _POSES = "_camera_poses.txt"
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the poses and join images and cameras by number."""
     poses = parsing.in_order(path.glob(f"*{_POSES}"))[0]
     name = poses.name.removesuffix(_POSES)
     image_of = parsing.by_stem(parsing.images_in(path / f"{name}_rgb"))

@@ -20,7 +20,6 @@ _TRACKING = {"normal": Tracking.NORMAL, "limited": Tracking.LIMITED, "not": Trac
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the rows and join them to the video's frames by time."""
     frames, rejects = parsing.read_rows(parsing.lines_of(path / "poses.txt", limits), _read_row)
     if frames:
         video = path / "images.mp4"

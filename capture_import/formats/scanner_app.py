@@ -28,7 +28,6 @@ _FRAME = re.compile(r"frame_(\d{1,9})\.json")
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the JSON files of one recording; those that can't be read become rejects."""
     numbered = sorted((int(m[1]), p) for p in path.iterdir() if (m := _FRAME.fullmatch(p.name)))
     files = dict(reversed(numbered))
     image_of = parsing.by_stem(parsing.images_in(path))

@@ -21,7 +21,6 @@ _CAMERA = Intrinsics(525.0, 525.0, 320.0, 240.0, 640, 480)
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the poses and join the colour images by number."""
     files = sorted((int(m[1]), p) for p in path.iterdir() if (m := _POSE.fullmatch(p.name)))
     image_of = parsing.by_stem(parsing.images_in(path))
     ours = bool(export_world(path.parent))

@@ -22,7 +22,6 @@ _CAMERA = ("focalLengthX", "focalLengthY", "principalPointX", "principalPointY")
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the poses, and the video's frames where they can be used."""
     calibration = path / "calibration.json"
     device_T_cam = _device_T_cam(calibration, limits) if calibration.is_file() else None
 

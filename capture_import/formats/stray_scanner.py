@@ -21,7 +21,6 @@ _PER_FRAME = ("fx", "fy", "cx", "cy")
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the rows and join them to the video's frames by number."""
     video = path / "rgb.mp4"
     header, *rows = parsing.lines_of(path / "odometry.csv", limits) or [("odometry.csv", "")]
     names = [name.strip() for name in header[1].split(",")]

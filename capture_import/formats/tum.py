@@ -17,7 +17,6 @@ from groundwalk.store.choices import Clock, PoseSource
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read both lists; poses are interpolated where an image lies between two rows."""
     poses, rejects = parsing.read_rows(parsing.lines_of(path / "groundtruth.txt", limits), _read_pose)
     camera = _camera(path / "camera.txt")
 

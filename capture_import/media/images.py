@@ -126,7 +126,6 @@ def _decode(data: bytes, colours: str, long_side: int) -> Any:
 
 
 def encode_jpeg(rgb: NDArray[np.uint8], quality: int = 95) -> bytes:
-    """An image (H, W, 3) as JPEG."""
     return bytes(simplejpeg.encode_jpeg(np.ascontiguousarray(rgb), quality=quality, colorsubsampling="420"))
 
 

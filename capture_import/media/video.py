@@ -50,7 +50,6 @@ def frame_times(path: Path, limits: Limits) -> NDArray[np.int64]:
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file's name is that of a video."""
     return path.suffix.lower() in _SUFFIXES and path.is_file()
 
 

@@ -33,7 +33,6 @@ class Builder:
         texel: float = 1.0,
         glass: bool = False,
     ) -> None:
-        """One rectangle."""
         at, along, tall = (np.array(v, float) for v in (corner, right, up))
         self.place.quads.append(Quad(name, at, along, tall, paint, texel, glass))
 
@@ -107,7 +106,6 @@ class Builder:
     def column(
         self, name: str, centre: Xz, radius: float, height: float, paint: Material, bottom: float = 0.0, sides: int = 10
     ) -> None:
-        """An upright prism with many sides."""
         angle = 2 * math.pi * np.arange(sides + 1) / sides
         points = np.stack([centre[0] + radius * np.cos(angle), centre[1] - radius * np.sin(angle)], axis=1)
         for k in range(sides):
@@ -131,7 +129,6 @@ class Builder:
             self._add_crown(f"{name}.crown{k}", middle, radius, foliage(tone))
 
     def bush(self, name: str, centre: Xz, radius: float, bottom: float = 0.0) -> None:
-        """A round shrub."""
         tone = (self.rng.uniform(30, 60), self.rng.uniform(80, 120), self.rng.uniform(45, 95))
         self._add_crown(name, np.array([centre[0], bottom + 0.6 * radius, centre[1]]), radius, foliage(tone))
         low = (centre[0] - radius, bottom, centre[1] - radius)
@@ -156,7 +153,6 @@ class Builder:
             self.box(f"{name}.leg{side}", leg, size, plain((50, 50, 50)), yaw_deg=yaw_deg)
 
     def lamp_post(self, name: str, centre: Xz, height: float = 4.0) -> None:
-        """A pole with stickers and a lantern."""
         self.column(f"{name}.pole", centre, 0.08, height, _stickered((60, 64, 60)), sides=6)
         self.box(f"{name}.light", centre, (0.35, 0.5, 0.35), plain((190, 220, 225)), bottom=height, solid=False)
 

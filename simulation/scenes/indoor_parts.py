@@ -106,7 +106,6 @@ def chair(b: Builder, name: str, centre: Xz, yaw_deg: float) -> None:
 
 
 def whiteboard(c: Canvas) -> None:
-    """A board with drawings and writing."""
     c.fill((236, 240, 240))
     for _ in range(16):
         x, y = c.rng.uniform(0.05, 0.7) * c.width_m, c.rng.uniform(0.08, 0.85) * c.height_m
