@@ -4,7 +4,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
@@ -17,7 +16,7 @@ from groundwalk.sfm.cameras.starts import start_lenses
 from groundwalk.sfm.database import create_database, image_id
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import CameraOrigin
-from tests.known import cells
+from tests.sfm.cameras.test_lenses import frames_of
 
 FRAMES, POINTS = 8, 300
 PHONE = tuple(PHONE_K1_K2.tolist())
@@ -26,9 +25,7 @@ PHONE = tuple(PHONE_K1_K2.tolist())
 def start_of(folder: Path, stated: tuple[float, float] | None, true: tuple[float, float]) -> np.ndarray:
     """k1 and k2 that mapping starts from, of a camera with a lens that walks past points at different depths."""
     rng = np.random.default_rng(0)
-    row = {"session_id": "walk", "width": 640, "height": 480, "fx": 480.0, "fy": 480.0, "cx": 320.0, "cy": 240.0}
-    frames = pd.DataFrame([row | {"stated_readout_s": np.nan}] * FRAMES)
-    frames["distortion"] = cells([[*stated, 0.0, 0.0] if stated else []] * FRAMES)
+    frames = frames_of([[*stated, 0.0, 0.0] if stated else []] * FRAMES)
     lenses = prior_lenses(frames, {"walk": "phone"}, SfmSettings())
     database = folder / "features.db"
     create_database(database, with_lenses(frames, lenses), [f"{i}.jpg" for i in range(FRAMES)])
