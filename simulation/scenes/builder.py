@@ -37,17 +37,19 @@ class Builder:
         self.place.quads.append(Quad(name, at, along, tall, paint, texel, glass))
 
     def wall(
-        self, name: str, left: Xz, right: Xz, bottom: float, top: float, paint: Material, texel: float = 1.0
+        self,
+        name: str,
+        left: Xz,
+        right: Xz,
+        bottom: float,
+        top: float,
+        paint: Material,
+        texel: float = 1.0,
+        glass: bool = False,
     ) -> None:
         """An upright rectangle between two points of the plan, named as one sees them."""
-        self.quad(
-            name,
-            (left[0], bottom, left[1]),
-            (right[0] - left[0], 0, right[1] - left[1]),
-            (0, top - bottom, 0),
-            paint,
-            texel,
-        )
+        corner, along = (left[0], bottom, left[1]), (right[0] - left[0], 0, right[1] - left[1])
+        self.quad(name, corner, along, (0, top - bottom, 0), paint, texel, glass)
 
     def floor(self, name: str, low: Xz, high: Xz, y: float, paint: Material, texel: float = 1.0) -> None:
         """A level rectangle seen from above, x to the right and -z up in its picture."""
@@ -115,17 +117,17 @@ class Builder:
             (centre[0] - radius, bottom, centre[1] - radius), (centre[0] + radius, bottom + height, centre[1] + radius)
         )
 
-    def tree(self, name: str, centre: Xz, height: float = 6.0, bottom: float = 0.0, spread: float = 1.6) -> None:
+    def tree(self, name: str, centre: Xz, height: float, spread: float = 1.6) -> None:
         """A trunk and a crown of several balls of leaves, which begins well above heads."""
         trunk = max(2.6, 0.45 * height)
         bark = wood((58, 74, 92), 0.07)
-        self.column(f"{name}.trunk", centre, 0.16 + 0.01 * height, trunk, bark, bottom, sides=7)
+        self.column(f"{name}.trunk", centre, 0.16 + 0.01 * height, trunk, bark, 0.0, sides=7)
         tone = (self.rng.uniform(30, 60), self.rng.uniform(85, 125), self.rng.uniform(50, 105))
         for k in range(5):
             offset = self.rng.normal(0, 0.4 * spread, 3) * [1, 0.6, 1]
-            middle = np.array([centre[0], bottom + trunk + 0.3 * (height - trunk) + 0.4, centre[1]]) + offset
+            middle = np.array([centre[0], trunk + 0.3 * (height - trunk) + 0.4, centre[1]]) + offset
             radius = self.rng.uniform(0.55, 0.8) * spread
-            middle[1] = max(middle[1], bottom + 2.35 + radius * 0.85)
+            middle[1] = max(middle[1], 2.35 + radius * 0.85)
             self._add_crown(f"{name}.crown{k}", middle, radius, foliage(tone))
 
     def bush(self, name: str, centre: Xz, radius: float, bottom: float = 0.0) -> None:

@@ -27,7 +27,7 @@ ROOF_TILES = materials.masonry(0.22, 0.2, [(52, 72, 150), (60, 84, 170), (46, 60
 
 @dataclass(frozen=True)
 class Facade:
-    """How the front of a house looks. `same` repeats one window; `blank` is the share of windows left out."""
+    """How the front of a house looks. `same` repeats one window."""
 
     wall: Material
     storeys: int = 3
@@ -40,7 +40,6 @@ class Facade:
     graffiti: bool = False
     posters: int = 2
     ivy: bool = False
-    blank: float = 0.06
 
     def paint(self, c: Canvas) -> None:
         """The front, with its ground floor on the canvas's lower edge."""
@@ -58,7 +57,7 @@ class Facade:
                 x = margin + (k + 0.5) * self.pitch_m - w / 2
                 if storey == 0 and (k == doorway or self.shop):
                     continue
-                if not self.same and rng.random() < self.blank:
+                if not self.same and rng.random() < 0.06:
                     self._something(c, x, base)
                     continue
                 jitter = 0.0 if self.same else rng.uniform(-0.12, 0.12)
