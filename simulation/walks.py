@@ -187,8 +187,7 @@ def _clock(
 
 def _glances(t: Vec, duration_s: float, route: Route, rng: np.random.Generator) -> Vec:
     """Looks aside and back, a few a minute. Some go far aside, to where no other walk may have looked from there:
-    it's in such views that regressors fail by metres, and that gives their errors the long tail that real ones have.
-    """
+    it's in such views that regressors fail by metres, and that gives their errors the long tail that real ones have."""
     yaw = np.zeros_like(t)
     for moment in np.arange(rng.uniform(4, 14), duration_s, 14):
         middle, side = moment + rng.uniform(-4, 4), rng.choice([-1, 1])

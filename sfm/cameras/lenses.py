@@ -42,9 +42,8 @@ _MAX_FOCAL_STEP = 0.08
 @dataclass(frozen=True)
 class LensPrior:
     """What is known of a lens: its frames' device, size and focal length, how many there are, coefficients (OpenCV's
-    order, 8) and readout time, which mapping starts from, with their covariance (3, 3) of k1, k2 and readout, and
-    the sd of k3; where they are from; and k1 and k2 and the readout time that the capture states, 0 and None for none.
-    """
+    order, 8) and readout time, which mapping starts from, with their covariance (3, 3) of k1, k2 and readout, and the
+    sd of k3; where they are from; and k1 and k2 and the readout time that the capture states, 0 and None for none."""
 
     lens_id: str
     frames: int
