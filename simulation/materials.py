@@ -183,7 +183,6 @@ def gravel(c: Canvas) -> None:
 
 
 def foliage(colour: Bgr) -> Material:
-
     def paint(c: Canvas) -> None:
         c.fill(colour)
         field = c.noise((0.05, 0.09, 0.17, 0.35), (0.8, 1, 1, 0.8))
@@ -199,7 +198,6 @@ def foliage(colour: Bgr) -> Material:
 
 
 def wood(colour: Bgr, plank_m: float = 0.14) -> Material:
-
     def paint(c: Canvas) -> None:
         masonry(plank_m, 1.7, [colour], (colour[0] * 0.4, colour[1] * 0.4, colour[2] * 0.4), 0.006, 12)(c)
         h, w = c.shape
@@ -213,7 +211,6 @@ def wood(colour: Bgr, plank_m: float = 0.14) -> Material:
 
 
 def panels(colour: Bgr, width_m: float = 1.2, height_m: float = 0.8) -> Material:
-
     def paint(c: Canvas) -> None:
         masonry(height_m, width_m, [colour], (40, 40, 40), 0.015, 7)(c)
         streaks(c, 9)
@@ -222,7 +219,6 @@ def panels(colour: Bgr, width_m: float = 1.2, height_m: float = 0.8) -> Material
 
 
 def marble(colour: Bgr, vein: Bgr) -> Material:
-
     def paint(c: Canvas) -> None:
         c.fill(colour)
         c.add(c.noise((0.1, 0.3, 0.9)), (8, 8, 8))
@@ -235,7 +231,6 @@ def marble(colour: Bgr, vein: Bgr) -> Material:
 
 
 def tiles(size_m: float, colours: Sequence[Bgr], joint: Bgr, spread: float = 8.0) -> Material:
-
     def paint(c: Canvas) -> None:
         h, w = c.shape
         column = (np.arange(w) * c.texel_m / size_m).astype(int)
@@ -259,7 +254,6 @@ def tiles(size_m: float, colours: Sequence[Bgr], joint: Bgr, spread: float = 8.0
 
 
 def stripes(first: Bgr, second: Bgr, width_m: float) -> Material:
-
     def paint(c: Canvas) -> None:
         for k in range(int(c.width_m / width_m) + 1):
             c.box(width_m * k, 0, width_m * k + width_m, c.height_m, second if k % 2 else first)
@@ -269,7 +263,6 @@ def stripes(first: Bgr, second: Bgr, width_m: float) -> Material:
 
 
 def carpet(colour: Bgr) -> Material:
-
     def paint(c: Canvas) -> None:
         c.fill(colour)
         c.add(c.noise((0.006, 0.012, 0.025, 0.05, 0.1)), (14, 14, 14))

@@ -26,7 +26,6 @@ _TAGS = re.compile(r"(\s+TAG\d+)+\s*$")
 
 
 def read_arkit(path: Path, limits: Limits) -> Recording:
-
     def read_row(_: int, line: str) -> RawFrame:
         time_ns, *matrix = parsing.split_numbers(line, 13)
         pose = parsing.from_arkit(parsing.row_major_pose(matrix))

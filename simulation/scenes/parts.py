@@ -262,7 +262,6 @@ def row_of_houses(
 
 
 def kiosk(b: Builder, centre: Xz, yaw_deg: float) -> None:
-
     def side(c: Canvas) -> None:
         materials.plain(details.bright(c.rng))(c)
         for k in range(int(c.width_m / 0.8)):
@@ -298,7 +297,6 @@ def car(b: Builder, name: str, centre: Xz, yaw_deg: float) -> None:
 
 
 def bin_(b: Builder, name: str, centre: Xz) -> None:
-
     def side(c: Canvas) -> None:
         materials.plain((50, 90, 45))(c)
         details.notice(c, 0.1, 0.4, 0.25, 0.3)
