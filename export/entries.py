@@ -1,5 +1,6 @@
 """Records of groundwalk's own export formats."""
 
+from dataclasses import replace
 from functools import partial
 
 from groundwalk.export.colmap import DISTORTION as OF_COLMAP
@@ -17,13 +18,12 @@ COLMAP = Exporter(
     distortion_coefficients=OF_COLMAP,
     cameras="alike",
 )
-COLMAP_TEXT = Exporter(
+COLMAP_TEXT = replace(
+    COLMAP,
     id="colmap-text",
     label="COLMAP, text",
     meaning="COLMAP's text model beside images/",
     write=partial(write_colmap, text=True),
-    distortion_coefficients=OF_COLMAP,
-    cameras="alike",
 )
 TUM = Exporter(
     id="tum",

@@ -19,6 +19,7 @@ from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, inverse, make_pose
 
 # OpenCV's order of coefficients.
 DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+_INTRINSICS = {"fl_x": "fx", "fl_y": "fy", "cx": "cx", "cy": "cy", "w": "width", "h": "height"}
 
 
 def write_nerfstudio(dataset: Dataset, folder: Path, images: Images) -> list[str]:
@@ -41,12 +42,7 @@ def write_transforms(
         frames.append(
             {
                 "file_path": path,
-                "fl_x": row["fx"],
-                "fl_y": row["fy"],
-                "cx": row["cx"],
-                "cy": row["cy"],
-                "w": row["width"],
-                "h": row["height"],
+                **{key: row[column] for key, column in _INTRINSICS.items()},
                 **dict(zip(DISTORTION, coefficients, strict=False)),
                 "transform_matrix": pose.tolist(),
             }

@@ -101,8 +101,7 @@ def write_seven_scenes(dataset: Dataset, folder: Path, images: Images) -> list[s
     intrinsics: each frame's 3x3 matrix lies beside it in `.intrinsics.txt`. It has no distortion either, so images that
     have some are those of a pinhole. There are no depth images. Images are PNG, so JPEGs are decoded and written anew.
     """
-    intrinsics = dataset.frames[["fx", "fy", "cx", "cy"]].to_numpy(float)
-    placed = [""] * len(dataset.frames)
+    cameras, placed = dataset.cameras, [""] * len(dataset.frames)
     splits: dict[bool, list[str]] = {False: [], True: []}
     for index, (test, rows) in enumerate(dataset.sequences(), start=1):
         splits[test].append(f"sequence{index}\n")
@@ -110,10 +109,8 @@ def write_seven_scenes(dataset: Dataset, folder: Path, images: Images) -> list[s
         sequence.mkdir()
         for count, row in enumerate(rows):
             stem = f"frame-{count:06d}"
-            fx, fy, cx, cy = intrinsics[row]
-            matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
             (sequence / f"{stem}.pose.txt").write_text(_rows(dataset.map_T_cam[row]), encoding="ascii")
-            (sequence / f"{stem}.intrinsics.txt").write_text(_rows(matrix), encoding="ascii")
+            (sequence / f"{stem}.intrinsics.txt").write_text(_rows(cameras[row].matrix), encoding="ascii")
             dataset.images[row].place(sequence / f"{stem}.color.png", images)
             placed[row] = f"{sequence.name}/{stem}.color.png"
     for test, name in ((False, "TrainSplit.txt"), (True, "TestSplit.txt")):
