@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from groundwalk.simulation import details, materials
+from groundwalk.simulation.atlas import TexturedMesh
 from groundwalk.simulation.canvas import Canvas, Material
 from groundwalk.simulation.capture import write_frames
 from groundwalk.simulation.mesh import build_mesh
@@ -19,7 +20,6 @@ from groundwalk.simulation.scenes.builder import Builder
 from groundwalk.simulation.session import SessionOutline, plan_session, take
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.simulate import write_truth
-from groundwalk.simulation.textured_mesh import TexturedMesh
 from groundwalk.store.files import write_json
 from groundwalk.store.simulated import SIMULATED_MARKER
 

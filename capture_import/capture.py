@@ -32,8 +32,6 @@ class Limits:
 
 @dataclass(frozen=True)
 class ImageFile:
-    """An image that is a file of the capture."""
-
     path: Path
 
 
@@ -154,14 +152,13 @@ class Recording:
 
     `pose_source`: the phone's odometry, a reference from elsewhere, as in public data sets, which must never pass for
     VIO, or none: then no row has a pose. `is_gravity_aligned` is False where the world's +y may not be up, `up_source`
-    what says so: a format sets `STATED` where the capture itself does, and import tests the rest
-    (`checks/gravity.py`). `is_metric` is False where
-    a reference states no unit. `split` is what a public data set states that the recording is for. `first_row` is the
-    side of the images that the sensor reads out first, `readout_s` the time from there to the last row, where the
-    capture states them. `has_intrinsics` is False where it states no intrinsics: those of the frames are a
-    guess, whose focal length import corrects by the poses. `read_gps` reads its positions on earth, and is called only
-    where the user asks for them; None where it has none. `recording_id` and `format` are set by whoever calls a
-    format's `read`.
+    what says so: a format sets `STATED` where the capture itself does, and import tests the rest (`checks/gravity.py`).
+    `is_metric` is False where a reference states no unit. `split` is what a public data set states that the recording
+    is for. `first_row` is the side of the images that the sensor reads out first, `readout_s` the time from there to
+    the last row, where the capture states them. `has_intrinsics` is False where it states no intrinsics: those of the
+    frames are a guess, whose focal length import corrects by the poses. `read_gps` reads its positions on earth, and is
+    called only where the user asks for them; None where it has none. `recording_id` and `format` are set by whoever
+    calls a format's `read`.
     """
 
     device: str

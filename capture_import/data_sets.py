@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, Recording, Reject
-from groundwalk.capture_import.image_files import images_in, in_order, is_image
 from groundwalk.capture_import.media.images import BadImage, image_size
-from groundwalk.capture_import.parsing import BadRow, inside, read_rows, seconds_to_ns
+from groundwalk.capture_import.parsing import BadRow, images_in, in_order, inside, is_image, read_rows, seconds_to_ns
 from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import Clock, PoseSource, SessionSplit
 from groundwalk.store.files import read_json

@@ -11,8 +11,8 @@ import numpy as np
 
 from groundwalk.capture_import.capture import ImageFile, Limits, RawFrame, Recording, Reject
 from groundwalk.capture_import.formats import FORMATS, Format
-from groundwalk.capture_import.image_files import images_in, in_order, is_image
 from groundwalk.capture_import.media.archive import SUFFIXES, unpack
+from groundwalk.capture_import.parsing import images_in, in_order, is_image
 from groundwalk.capture_import.refusal import are_images_alone, no_capture
 from groundwalk.store import UserError, progress
 from groundwalk.store.choices import PoseSource, Rejected

@@ -20,9 +20,8 @@ from groundwalk.capture_import.checks.gravity import check_gravity
 from groundwalk.capture_import.checks.plausibility import PlausibilityFault, plausibility_faults
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.media.reading import ImageReader
-from groundwalk.capture_import.origin import describe_origin, far_origin
 from groundwalk.capture_import.sampling import select, select_enough
-from groundwalk.capture_import.sessions import duration, path_length, sound_sessions
+from groundwalk.capture_import.sessions import describe_origin, duration, far_origin, path_length, sound_sessions
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.store import UserError
 from groundwalk.store.choices import PoseSource

@@ -20,7 +20,7 @@ from groundwalk.geometry.lens import rational_of_fisheye
 from groundwalk.geometry.poses import Array, pose_from_tq
 from groundwalk.store import UserError
 from groundwalk.store.files import leads_outside
-from groundwalk.store.text import encoding_of
+from groundwalk.store.text import encoding_of, natural_order
 
 Row = TypeVar("Row")
 
@@ -36,6 +36,8 @@ _FISHEYE_TOLERANCE_PX = 0.05
 _NOT_UTF8 = "\N{REPLACEMENT CHARACTER}"  # stands for bytes that aren't: they cost what they are in, not the whole log
 # Clocks that were written with microseconds agree to this.
 _SAME_NS = 1_000_000
+# HEIC is read where its decoder is installed; else such an image is a reject, which says what to do.
+SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif")
 
 
 class BadRow(ValueError):
@@ -381,3 +383,26 @@ def _refuse_odd_file(path: Path, max_bytes: int) -> None:
 
 def _unreadable(path: Path, found: object) -> UserError:
     return UserError("a log can't be read", where=path, found=found)
+
+
+def is_image(path: Path) -> bool:
+    return path.suffix.lower() in SUFFIXES
+
+
+def images_in(folder: Path) -> list[Path]:
+    """The image files of a folder, in natural order of their names; none where it isn't there."""
+    return in_order(path for path in folder.iterdir() if is_image(path)) if folder.is_dir() else []
+
+
+def in_order(paths: Iterable[Path]) -> list[Path]:
+    """Paths in natural order: frame2 before frame10."""
+    return sorted(paths, key=lambda path: natural_order(path.as_posix()))
+
+
+def by_stem(images: Iterable[Path]) -> dict[str, Path]:
+    """Image files by their name without suffix; of two the one whose suffix is lower-case and first in `SUFFIXES`."""
+
+    def rank(path: Path) -> tuple[bool, int]:
+        return path.suffix.islower(), -SUFFIXES.index(path.suffix.lower())
+
+    return {path.stem: path for path in sorted(images, key=rank)}

@@ -8,9 +8,8 @@ from itertools import islice
 from pathlib import Path
 
 from groundwalk.capture_import.formats import Format, is_in
-from groundwalk.capture_import.image_files import images_in, in_order, is_image
 from groundwalk.capture_import.media.video import is_video
-from groundwalk.capture_import.parsing import first_bytes
+from groundwalk.capture_import.parsing import first_bytes, images_in, in_order, is_image
 from groundwalk.store import UserError
 from groundwalk.store.hints import groundwalk_command, setting_of
 from groundwalk.store.text import in_words, name_list

@@ -7,21 +7,25 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.spatial.transform import Rotation
 
 from groundwalk.capture_import.capture import (
     Image,
     ImageCheck,
     ImageFile,
     Intrinsics,
+    Jump,
     RawFrame,
     Recording,
     Reject,
     Session,
     poses_of,
 )
-from groundwalk.capture_import.checks.jumps import find_jumps
 from groundwalk.capture_import.checks.rows import check_rows
 from groundwalk.capture_import.media.images import exif_orientation
+from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store.choices import PoseSource, SessionSplit
 from groundwalk.store.text import name_list
 
@@ -29,6 +33,20 @@ from groundwalk.store.text import name_list
 _MIN_CONTRAST = 2.0
 # Sizes are whole: at 480x270, a width by the height of 1080 may be off by the rounding of both.
 _MAX_SCALED_OFF_PX = 2.0
+# A jump is motion that no hand does: beyond what an acceleration of 4 m/s^2 or 600 deg/s^2 changes between two poses,
+# beyond the noise of a pose, and far beyond what the same hand does around that moment.
+_ACCELERATION_M_S2 = 4.0
+_ACCELERATION_DEG_S2 = 600.0
+_NOISE_M = 0.03
+_NOISE_DEG = 3.0
+_MIN_RATIO = 8.0
+_CONTEXT = 4
+_MEDIAN_STEPS = 60
+# At larger ones a session ends: sfm and align hold VIO to a few centimetres over such a step.
+_SPLIT_M, _SPLIT_DEG = 0.5, 15.0
+# What reads positions as float32 (recordings, networks, other tools) sees steps of 6e-8 of their distance from the
+# origin: of 6e-5 of the extent where that is so many times as far.
+_MAX_DISTANCE_EXTENTS = 1e3
 
 
 def sound_sessions(
@@ -210,3 +228,75 @@ def _image_fault(frame: RawFrame, check: ImageCheck) -> str | None:
     if check.contrast < _MIN_CONTRAST:
         return f"image shows nothing: its grey levels vary by {check.contrast:.1f} of 255 (at least {_MIN_CONTRAST:g})"
     return None
+
+
+def find_jumps(t_ns: NDArray[np.int64], poses: Array) -> list[Jump]:
+    """Steps between poses (N, 4, 4) at rising times (N,) that no hand can do.
+
+    Each step is compared with the motion that the steps around it extrapolate (their median velocity, so that one
+    neighbouring jump doesn't matter); the residual must be explained by acceleration, pose noise, or the median
+    residual in the neighbourhood.
+    """
+    if len(poses) < 4:
+        return []
+    dt: Array = np.diff(t_ns).astype(float) * 1e-9
+    velocity = np.diff(poses[:, :3, 3], axis=0) / dt[:, None]
+    # Rotation in the world's axes, so that neighbouring steps can be averaged.
+    steps = poses[1:, :3, :3] @ np.swapaxes(poses[:-1, :3, :3], -1, -2)
+    rate = np.degrees(Rotation.from_matrix(steps).as_rotvec()) / dt[:, None]
+    beyond_m = _beyond_context(velocity, dt)
+    beyond_deg = _beyond_context(rate, dt)
+    usual_m, usual_deg = (median_filter(b, size=_MEDIAN_STEPS + 1, mode="nearest") for b in (beyond_m, beyond_deg))
+    limit_m = np.maximum(_NOISE_M + _ACCELERATION_M_S2 * dt**2, _MIN_RATIO * usual_m)
+    limit_deg = np.maximum(_NOISE_DEG + _ACCELERATION_DEG_S2 * dt**2, _MIN_RATIO * usual_deg)
+    jumps = np.flatnonzero((beyond_m > limit_m) | (beyond_deg > limit_deg))
+    splits = (beyond_m > _SPLIT_M) | (beyond_deg > _SPLIT_DEG)
+    return [
+        Jump(int(i) + 1, int(t_ns[i + 1]), float(dt[i]), float(beyond_m[i]), float(beyond_deg[i]), bool(splits[i]))
+        for i in jumps
+    ]
+
+
+def _beyond_context(rate_N3: Array, dt: Array) -> Array:
+    """Per step: the length of its change beyond what the median rate of the steps around it predicts."""
+    padded = np.pad(rate_N3, ((_CONTEXT, _CONTEXT), (0, 0)), constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _CONTEXT + 1, axis=0)
+    around = np.delete(windows, _CONTEXT, axis=-1)
+    beyond: Array = np.linalg.norm(rate_N3 - np.nanmedian(around, axis=-1), axis=-1) * dt
+    return beyond
+
+
+def far_origin(sessions: Sequence[Session]) -> Array | None:
+    """The origin (3,) to take off the positions of all references, in their unit and axes; None where these are near
+    enough to theirs. Round to a power of ten of about the extent."""
+    positions = [s.poses[:, :3, 3] for s in sessions if s.frames and s.has_poses and not s.has_vio]
+    if not positions:
+        return None
+    xyz = np.concatenate(positions)
+    extent, middle = float(np.linalg.norm(np.ptp(xyz, axis=0))), np.median(xyz, axis=0)
+    if not 0 < _MAX_DISTANCE_EXTENTS * extent < np.linalg.norm(middle):
+        return None
+    step = 10.0 ** np.ceil(np.log10(extent))
+    return step * np.round(middle / step)
+
+
+def moved(session: Session, origin: Array) -> Session:
+    """The session with poses from another origin, where they are a reference."""
+    if session.has_vio or not session.has_poses:
+        return session
+
+    def of(frame: RawFrame) -> RawFrame:
+        pose = frame.vio_T_cam
+        assert pose is not None  # a session has no rows without
+        return replace(frame, vio_T_cam=make_pose(pose[:3, :3], pose[:3, 3] - origin))
+
+    return replace(session, frames=[of(frame) for frame in session.frames])
+
+
+def describe_origin(origin: Array) -> str:
+    """A line for the user on an origin that was taken off."""
+    return (
+        "reference poses are far from their origin, as georeferenced ones are: the map's origin is at "
+        f"({', '.join(f'{value:.12g}' for value in origin)}) of the data set's own coordinates, which sessions.parquet "
+        "keeps (reference_origin_x, _y, _z)"
+    )

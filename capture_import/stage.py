@@ -14,35 +14,37 @@ from groundwalk.capture_import import tables
 from groundwalk.capture_import.capture import GpsFix, ImageCheck, RawFrame, Session
 from groundwalk.capture_import.checks.clock import MAX_OFFSET_S, check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, check_convention, with_focal_length
+from groundwalk.capture_import.checks.features import MAX_FRACTION, find_near_copies
 from groundwalk.capture_import.checks.gravity import STATE_GRAVITY, check_gravity, with_gravity
-from groundwalk.capture_import.checks.near_copies import MAX_FRACTION, find_near_copies
 from groundwalk.capture_import.checks.plausibility import MAX_SPEED_M_S, plausibility_faults
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
-from groundwalk.capture_import.held import held_frames
 from groundwalk.capture_import.media.blurring import BLURRED, Blurring, FaceDetector, Region, read_boxes, write_boxes
 from groundwalk.capture_import.media.depth import place_depths
+from groundwalk.capture_import.media.images import quarters_to_upright
 from groundwalk.capture_import.media.placing import Placement, place_images
 from groundwalk.capture_import.media.reading import ImageReader
-from groundwalk.capture_import.media.upright import quarters_to_upright
-from groundwalk.capture_import.origin import describe_origin, far_origin, moved
 from groundwalk.capture_import.recording import blueprint, log_session
 from groundwalk.capture_import.sampling import select_enough
-from groundwalk.capture_import.sessions import sound_sessions, with_numbered_cameras
+from groundwalk.capture_import.sessions import describe_origin, far_origin, moved, sound_sessions, with_numbered_cameras
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.splits import LEAK_S, SplitResult, nearest_split, refuse_lists, split_frames
 from groundwalk.store import StageRun, UserError
+from groundwalk.store.choices import Rejected
 from groundwalk.store.errors import MachineError
 from groundwalk.store.files import write_json
 from groundwalk.store.hints import groundwalk_command, setting_of
 from groundwalk.store.images import image_file
 from groundwalk.store.registry import PluginError
+from groundwalk.store.schemas import schema
 from groundwalk.store.simulated import are_simulated
-from groundwalk.store.tables import dataset_frames, have_times
+from groundwalk.store.tables import dataset_frames, have_times, read_table
 from groundwalk.store.text import grouped_reasons, name_list, printable
+
+_SAME_FRAMES = 0.5  # of a recording's, those that another one has, too: then they are one recording
+_VIO = ["t_ns", "vio_cam_tx", "vio_cam_ty", "vio_cam_tz"]
 
 
 def run(r: StageRun[ImportSettings]) -> None:
-    """Import the scene's captures."""
     settings, root = r.settings, r.captures.resolve()
     face_model = r.data.root / settings.face_model if settings.face_model else None
     # Before images are read, as one may be missing.
@@ -252,7 +254,6 @@ def _refuse_unusable(sessions: Sequence[Session], root: Path) -> None:
 
 
 def _reasons(sessions: Sequence[Session], separator: str) -> str:
-    """The most frequent reasons of rejects."""
     counts = Counter(grouped_reasons([reject.reason for session in sessions for reject in session.rejects]))
     return separator.join(f"{n} x {printable(reason)}" for reason, n in counts.most_common(3))
 
@@ -367,3 +368,48 @@ def _report_near_copies(
             "which images were taken together: name those for testing, or put each walk into a folder of its own "
             "(docs/how-to/split.md)"
         )
+
+
+def held_frames(r: StageRun[ImportSettings], frames: pd.DataFrame, left_out: Mapping[str, UserError]) -> pd.DataFrame:
+    """The frames table with the splits that recordings had; new ones have what the rules say.
+
+    UserError where one that is `left_out` is new, where nothing is new or gone, where a recording that was there is
+    imported otherwise now, and where a new one is one that is there, by its images or its VIO.
+    """
+    assert r.before is not None
+    rejects = read_table(r.before / "rejects.parquet", schema("import", "rejects"))
+    if new := left_out.keys() - set(rejects.loc[rejects["rejected"] == Rejected.RECORDING, "session_id"]):
+        raise left_out[min(new)]
+    before = read_table(r.before / "frames.parquet", schema("import", "frames"))
+    sessions, known = set(frames["session_id"]), set(before["session_id"])
+    if sessions == known:
+        raise UserError(
+            "the captures hold no other recording than before",
+            where=r.data.captures(r.scene.name),
+            expected="a recording in a folder of its own",
+            do="see what import finds there: groundwalk inspect <folder>",
+        )
+    columns = ["frame_id", "t_ns", "image_sha256"]
+    then, now = (t[t["session_id"].isin(sessions & known)][columns].reset_index(drop=True) for t in (before, frames))
+    if not then.equals(now):
+        raise UserError(
+            "import chooses other frames of the recordings that were there",
+            found=f"{len(now)} frames, {len(then)} before",
+            expected="the same frames: no change of the captures, of import's settings, or of how densely it samples",
+            do="with --refine everything is made anew",
+        )
+    for session_id in sorted(sessions - known):
+        of_session = frames[frames["session_id"] == session_id]
+        has_vio = of_session["vio_cam_tx"].notna()
+        as_before = of_session["image_sha256"].isin(before["image_sha256"])
+        as_before |= has_vio & pd.MultiIndex.from_frame(of_session[_VIO]).isin(pd.MultiIndex.from_frame(before[_VIO]))
+        if as_before.mean() > _SAME_FRAMES:
+            raise UserError(
+                f"{session_id} is a recording that the scene has already",
+                found=f"{as_before.sum()} of its {len(of_session)} frames have the image or VIO pose of another",
+                do="add another recording",
+            )
+    if r.holds:
+        split = frames["frame_id"].map(before.set_index("frame_id")["split"])
+        frames = frames.assign(split=split.fillna(frames["split"]))
+    return frames

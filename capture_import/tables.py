@@ -101,6 +101,8 @@ def sessions_table(
         unit = LengthUnit.METRE if reference_is_metric or recording.is_metric else LengthUnit.UNKNOWN
         reference_origin = [0.0] * 3 if origin is None else origin.tolist()
         is_reference = session.has_poses and not session.has_vio
+        splits = {SessionSplit.TRAIN if split == Split.VAL else SessionSplit(split) for split in dataset["split"]}
+        split = SessionSplit.UNUSED if not splits else splits.pop() if len(splits) == 1 else SessionSplit.MIXED
         rows.append(
             {
                 "session_id": session.session_id,
@@ -114,7 +116,7 @@ def sessions_table(
                 "images": len(session.images),
                 "frames": len(dataset),
                 "support_frames": len(used) - len(dataset),
-                "split": _session_split(set(dataset["split"])),
+                "split": split,
                 "pose_source": recording.pose_source,
                 "reference_unit": unit if is_reference else None,
                 **dict(zip(_ORIGIN, reference_origin if is_reference else [math.nan] * 3, strict=True)),
@@ -142,7 +144,6 @@ def rejects_table(sessions: Sequence[Session], left_out: Mapping[str, UserError]
 
 
 def jumps_table(sessions: Sequence[Session]) -> pd.DataFrame:
-    """Rows of `jumps`."""
     rows = [(s.session_id, j.t_ns, j.dt_s, j.jump_m, j.jump_deg, j.splits) for s in sessions for j in s.jumps]
     return pd.DataFrame(rows, columns=["session_id", "t_ns", "dt_s", "jump_m", "jump_deg", "splits"])
 
@@ -159,11 +160,3 @@ def vio_table(session: Session) -> pd.DataFrame:
     rows = [(session.session_id, frame.t_ns, frame.tracking) for frame in frames]
     columns = pd.DataFrame(rows, columns=["session_id", "t_ns", "tracking"]).astype({"t_ns": np.int64})
     return pd.concat([columns, pose_frame("vio_cam", poses_of(frames))], axis=1)
-
-
-def _session_split(splits: set[str]) -> SessionSplit:
-    if not splits:
-        return SessionSplit.UNUSED
-    if splits <= {Split.TRAIN, Split.VAL}:
-        return SessionSplit.TRAIN
-    return SessionSplit.TEST if splits == {Split.TEST} else SessionSplit.MIXED

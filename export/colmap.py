@@ -1,32 +1,36 @@
-"""COLMAP: `sparse/0` with cameras, images and points in the map, `images/`, and lists of image names by split.
-
-Each of SfM's models without a common view with the others has a separate folder: `sparse/1`, ...
+"""COLMAP: `sparse/0` with cameras, images and points in the map, `images/`, and lists of image names by split; and the
+layouts of hloc and kapture, which have COLMAP's cameras.
 
 Format: https://colmap.github.io/format.html (world-to-camera poses, quaternions w first in text; pixel centres at 0.5,
-as ours). The world is the map: metric, +y up. Cameras are those of the dataset: PINHOLE, OPENCV, or FULL_OPENCV with
-k3; equal ones of one device are one camera, with a rig of its own alone. Observations of points are without the effect
-of a rolling shutter, so they may lie pixels from the images' features; the images are as the phone took them, or
-undistorted, and the observations with them. Where the map's place on earth is given out,
-`geo_registration.txt` has each image's latitude, longitude and altitude, as `model_aligner --ref_is_gps 1` reads them.
+as ours). The world is the map: metric, +y up. Each of SfM's models without a common view with the others has a separate
+folder: `sparse/1`, ... Cameras are PINHOLE, OPENCV, or FULL_OPENCV with k3; equal ones of one device are one camera,
+with a rig of its own alone. Observations of points are without the effect of a rolling shutter, so they may lie pixels
+from the images' features; where images are undistorted, observations are, too.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from urllib.parse import unquote
+from urllib.parse import quote, unquote
 
 import numpy as np
 import pycolmap
 
 from groundwalk.export.dataset import Dataset, Images, SfmModel, number
 from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.poses import inverse, tq_from_pose
 from groundwalk.store import UserError
+from groundwalk.store.hints import setting_of
 
 # Of OpenCV's coefficients, in its order, as in FULL_OPENCV.
 DISTORTION = 8
+_VERSION = "# kapture format: 1.1"
 
 
 def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool = False) -> list[str]:
-    """Write the layout; returns the frames' image paths. Frames without ground truth aren't in the model."""
+    """Write the layout; returns the frames' image paths. Frames without ground truth aren't in the model. Where the
+    map's place on earth is given out, `geo_registration.txt` has each image's latitude, longitude and altitude, as
+    `model_aligner --ref_is_gps 1` reads them."""
     names = dataset.image_names
     for index, sfm_model in enumerate(dataset.models):
         write_model(model_in_map(dataset, sfm_model, names), folder / "sparse" / str(index), text=text)
@@ -113,7 +117,6 @@ def model_in_map(dataset: Dataset, sfm_model: SfmModel, names: Sequence[str]) ->
 
 
 def write_model(model: pycolmap.Reconstruction, folder: Path, *, text: bool = False) -> None:
-    """Write a model into a new folder."""
     folder.mkdir(parents=True)
     (model.write_text if text else model.write_binary)(folder)
 
@@ -129,3 +132,74 @@ def camera_fields(camera: Camera) -> list[str]:
     """COLMAP's model, size and parameters, as text."""
     model, parameters = colmap_camera(camera)
     return [model, str(camera.width), str(camera.height), *map(number, parameters)]
+
+
+def write_hloc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
+    """What hloc's scripts of localising take: in `reference/` the model of the frames that aren't for testing,
+    `queries_with_intrinsics.txt` of test images, and `queries_poses.txt`, as its results have them. Returns the frames'
+    image paths, "" for those outside of the largest of SfM's models, which is the only one that hloc takes. UserError
+    where all of its frames are for testing, or none is.
+
+    Format: https://github.com/cvg/Hierarchical-Localization (names without blanks; poses are world to camera,
+    quaternion w first).
+    """
+    largest, in_test = dataset.models[0], set(dataset.frames["frame_id"][dataset.in_test])
+    queries = [frame_id for frame_id in largest.frame_ids if frame_id in in_test]
+    reference = [frame_id for frame_id in largest.frame_ids if frame_id not in in_test]
+    if not queries or not reference:
+        raise UserError(
+            "hloc localises test frames in a map of the others",
+            found=f"{len(queries)} test frames and {len(reference)} others in the largest model",
+            do=f"split the scene: {setting_of('import', 'split_by')}",
+        )
+    names = dataset.image_names
+    write_model(model_in_map(dataset, replace(largest, frame_ids=reference), names), folder / "reference")
+    cameras, poses = list[str](), list[str]()
+    position, quaternion = tq_from_pose(inverse(dataset.map_T_cam))
+    all_cameras, row_of = dataset.cameras, {frame_id: row for row, frame_id in enumerate(dataset.frames["frame_id"])}
+    for row in (row_of[frame_id] for frame_id in queries):
+        cameras.append(" ".join([names[row], *camera_fields(all_cameras[row])]))
+        x, y, z, w = quaternion[row]
+        poses.append(" ".join([names[row], *map(number, (w, x, y, z, *position[row]))]))
+    for file, lines in (("queries_with_intrinsics.txt", cameras), ("queries_poses.txt", poses)):
+        (folder / file).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    of_largest = dataset.frames["frame_id"].isin(largest.frame_ids)
+    listed = [name if is_in else "" for name, is_in in zip(names, of_largest, strict=True)]
+    return place_images(dataset, folder, listed, images)
+
+
+def write_kapture(dataset: Dataset, folder: Path, images: Images) -> list[str]:
+    """kapture 1.1: `mapping/` and, of test frames, `query/`, each with `sensors/`, which has the images in
+    `records_data/`; returns the frames' image paths.
+
+    Format: https://github.com/naver/kapture/blob/main/kapture_format.adoc (world-to-camera poses, quaternion w first;
+    names without commas). A timestamp is a frame's row among those exported, as clocks of sessions have different
+    starts and kapture's are of 32 bits; `frames.csv` has the capture times.
+    """
+    frames, placed = dataset.frames, [""] * len(dataset.frames)
+    cameras, names = [", ".join(camera_fields(camera)) for camera in dataset.cameras], dataset.image_names
+    position, quaternion = tq_from_pose(inverse(dataset.map_T_cam))
+    for name, in_part in (("mapping", ~dataset.in_test), ("query", dataset.in_test)):
+        rows, sensors, poses, records = np.flatnonzero(in_part), dict[str, str](), list[str](), list[str]()
+        for row in rows:
+            session_id = frames["session_id"].iloc[row]
+            # Frames share a camera where focus and lens stayed the same.
+            device = sensors.setdefault(f"{session_id}\n{cameras[row]}", f"{quote(session_id, safe='')}-{len(sensors)}")
+            x, y, z, w = quaternion[row]
+            poses.append(", ".join([str(row), device, *map(number, (w, x, y, z, *position[row]))]))
+            records.append(f"{row}, {device}, {names[row]}")
+            placed[row] = f"{name}/sensors/records_data/{names[row]}"
+            dataset.images[row].place(folder / placed[row], images)
+        if not len(rows):
+            continue
+        listed = [f"{device}, , camera, {key.partition(chr(10))[2]}" for key, device in sensors.items()]
+        world = f"# world: the map, {dataset.world}"
+        for file, head, lines in (
+            ("sensors", ["# sensor_device_id, name, sensor_type, [sensor_params]+"], listed),
+            ("trajectories", [world, "# timestamp, device_id, qw, qx, qy, qz, tx, ty, tz"], poses),
+            ("records_camera", ["# timestamp, device_id, image_path"], records),
+        ):
+            path = folder / name / "sensors" / f"{file}.txt"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text("\n".join([_VERSION, *head, *lines]) + "\n", encoding="utf-8")
+    return placed

@@ -52,8 +52,6 @@ def _format_id(name: str) -> str:
 
 
 class ImagesOption(StrEnum):
-    """What becomes of the images."""
-
     link = "link"
     copy = "copy"
     none = "none"

@@ -153,7 +153,6 @@ class Dataset:
 
     @property
     def cameras(self) -> list[Camera]:
-        """The N cameras."""
         return [camera_of(frame) for frame in self.frames.itertuples(index=False)]
 
     @property

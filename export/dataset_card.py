@@ -217,10 +217,6 @@ def _quality(dataset: Dataset) -> str:
     return f"Frames by quality class: {counts}. {sigma}. Metric scale: {sources}. Each frame has its 6x6 covariance."
 
 
-def _privacy(dataset: Dataset) -> str:
-    return f"{people(dataset)} {_places(dataset)}"
-
-
 def people(dataset: Dataset) -> str:
     """Whether people who are in the images were looked for."""
     looked = dataset.frames["blurred_faces"].notna()
@@ -236,14 +232,14 @@ def people(dataset: Dataset) -> str:
     )
 
 
-def _places(dataset: Dataset) -> str:
-    """What the data set says of where on earth it was captured."""
+def _privacy(dataset: Dataset) -> str:
+    """What the data set says of people, and of where on earth it was captured."""
     if dataset.georeference is not None:
         place = "georeference.json and georeference.csv say where on earth the place is"
-        return f"{place} ({dataset.georeference.describe()})."
+        return f"{people(dataset)} {place} ({dataset.georeference.describe()})."
     said = "Positions by GPS were never read."
     if dataset.reads_gps:
         said = "Positions by GPS were read; neither they nor where on earth the map is are in this data set."
     if dataset.origin is not None and any(dataset.origin):
         said += " map_origin in export.json leads back to the coordinates of the data set that the poses are from."
-    return f"{said} Images carry no metadata such as EXIF."
+    return f"{people(dataset)} {said} Images carry no metadata such as EXIF."

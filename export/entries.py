@@ -1,19 +1,14 @@
 """Records of groundwalk's own export formats."""
 
+from dataclasses import replace
 from functools import partial
 
-from groundwalk.export.cambridge import write_cambridge
 from groundwalk.export.colmap import DISTORTION as OF_COLMAP
-from groundwalk.export.colmap import write_colmap
-from groundwalk.export.euroc import write_euroc
+from groundwalk.export.colmap import write_colmap, write_hloc, write_kapture
 from groundwalk.export.exporters import Exporter
-from groundwalk.export.hloc import write_hloc
 from groundwalk.export.huggingface import write_huggingface
-from groundwalk.export.kapture import write_kapture
-from groundwalk.export.nerfstudio import DISTORTION, write_nerfstudio
-from groundwalk.export.seven_scenes import write_seven_scenes
-from groundwalk.export.splat import write_splat
-from groundwalk.export.tum import write_tum
+from groundwalk.export.nerfstudio import DISTORTION, write_nerfstudio, write_splat
+from groundwalk.export.sequences import write_cambridge, write_euroc, write_seven_scenes, write_tum
 
 COLMAP = Exporter(
     id="colmap",
@@ -23,13 +18,12 @@ COLMAP = Exporter(
     distortion_coefficients=OF_COLMAP,
     cameras="alike",
 )
-COLMAP_TEXT = Exporter(
+COLMAP_TEXT = replace(
+    COLMAP,
     id="colmap-text",
     label="COLMAP, text",
     meaning="COLMAP's text model beside images/",
     write=partial(write_colmap, text=True),
-    distortion_coefficients=OF_COLMAP,
-    cameras="alike",
 )
 TUM = Exporter(
     id="tum",

@@ -9,9 +9,8 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from groundwalk.capture_import.capture import Session, poses_of
-from groundwalk.capture_import.media.images import encode_jpeg
+from groundwalk.capture_import.media.images import encode_jpeg, quarters_to_upright, turned_pixels
 from groundwalk.capture_import.media.reading import ImageReader
-from groundwalk.capture_import.media.upright import quarters_to_upright, turned_pixels
 from groundwalk.capture_import.sessions import duration, path_length
 from groundwalk.geometry.poses import Array, rotation_angle
 from groundwalk.geometry.rates import rates_at

@@ -14,12 +14,19 @@ import pandas as pd
 import pycolmap
 from numpy.typing import NDArray
 
+from groundwalk.features.sift import Features, even_sift
 from groundwalk.geometry.poses import Array, inverse, make_pose
-from groundwalk.store.child import Task, in_child
+from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.child import Report, Task, in_child
+from groundwalk.store.files import written_aside
 from groundwalk.store.hints import setting_of
+from groundwalk.store.images import read_grey_image
+from groundwalk.store.parallel import in_parallel
 
 Ints = NDArray[np.int64]
 _MEMORY_HINT = f"too little memory needs a smaller max_features or {setting_of('sfm', 'max_image_size')}"
+# Half of OpenCV's: what is fainter is noise, and what is between the two joins models where walls are blank.
+_MIN_CONTRAST = 0.02
 
 
 @dataclass(frozen=True)
@@ -82,9 +89,11 @@ def create_database(
     the camera that each session's images are to share."""
     if path.is_file():
         return
-    partial = path.with_name(path.name + ".partial")
-    partial.unlink(missing_ok=True)
-    with pycolmap.Database.open(partial) as database, pycolmap.DatabaseTransaction(database):
+    with (
+        written_aside(path) as partial,
+        pycolmap.Database.open(partial) as database,
+        pycolmap.DatabaseTransaction(database),
+    ):
         for row, frame in enumerate(frames.itertuples(index=False)):
             number = image_id(row)
             camera = camera_of(frame, number) if shared is None else shared[str(frame.session_id)]
@@ -99,7 +108,6 @@ def create_database(
             image.frame_id = number
             database.write_frame(colmap_frame, use_frame_id=True)
             database.write_image(image, use_image_id=True)
-    partial.replace(path)
 
 
 def is_sound(path: Path) -> bool:
@@ -174,3 +182,30 @@ def read_pair_results(path: Path, pairs: Ints) -> tuple[Ints, Ints]:
         inlier_counts = dict(zip(ids, inliers, strict=True))
     ids = [pycolmap.image_pair_to_pair_id(image_id(a), image_id(b)) for a, b in pairs.tolist()]
     return np.array([match_counts.get(i, 0) for i in ids], int), np.array([inlier_counts.get(i, 0) for i in ids], int)
+
+
+def features_name(settings: SfmSettings) -> str:
+    """Settings with the same name have the same features."""
+    return f"_{settings.max_image_size}_{settings.max_features}"
+
+
+def extract_features(report: Report, database: Path, images: Path, names: Sequence[str], settings: SfmSettings) -> None:
+    """Extract features of the named images, the database's rows in order, into it; images that have theirs are skipped.
+
+    Images larger than max_image_size are shrunk first; keypoints are in pixels of the full image.
+    """
+
+    def features_of(row: int) -> Features:
+        grey = read_grey_image(images / names[row])
+        return even_sift(grey, settings.max_features, settings.max_image_size, _MIN_CONTRAST)
+
+    sift = pycolmap.FeatureExtractorType.SIFT
+    with pycolmap.Database.open(database) as opened:
+        rows = [row for row in range(len(names)) if not opened.exists_keypoints(image_id(row))]
+        described = in_parallel(features_of, rows)
+        for row, features in zip(rows, described, strict=True):
+            with pycolmap.DatabaseTransaction(opened):
+                opened.write_keypoints(image_id(row), features.px)
+                descriptors = pycolmap.FeatureDescriptors(data=features.descriptors, type=sift)
+                opened.write_descriptors(image_id(row), descriptors)
+            report(row + 1)

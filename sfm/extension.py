@@ -2,7 +2,7 @@
 frames stays as it is.
 
 New frames are matched with old ones and with each other, and registered into the models that there are
-(`mapping.extending`). The map's points count as exact there; what they may be off by is added to the covariances.
+(`mapping.build`). The map's points count as exact there; what they may be off by is added to the covariances.
 """
 
 from dataclasses import dataclass, replace

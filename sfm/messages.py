@@ -25,7 +25,6 @@ _SENSORS_READOUT_S, _READOUT_SIGMAS = 0.045, 3.0
 _MAX_LENSES = 6
 _FRAMES_AT_ENDS = 2  # of a session
 _CLEAR_SIGMAS = 2.0
-# A time offset is worth a line where it is so large and so clear.
 
 
 def report_attempts(r: StageRun[SfmSettings], attempts: list[Attempt], best: Attempt, frames: int) -> None:

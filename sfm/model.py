@@ -15,31 +15,25 @@ from groundwalk.sfm.database import Ints, image_id, pose_of
 
 @dataclass(frozen=True)
 class Model:
-    """Models as arrays: N frames (rows of the frames table), P points, M observations of a point in a frame.
+    """Models as arrays: N frames (rows of the frames table), P points, M observations of a point in a frame. A frame is
+    in one model at most; models share no gauge.
 
-    A frame is in one model at most; models share no gauge.
+    `sfm_T_cam` (N, 4, 4) is NaN where the frame isn't registered; `model` (N,) says which of the models has it, -1
+    none. Of points: the number of their model (P,), COLMAP's ids (P,), unique within a model, and place in its sfm
+    frame and colour (P, 3). Of observations: the row of its frame and the index of its point (M,), where the point is
+    observed and where it is projected minus that (M, 2).
     """
 
     sfm_T_cam: Array
-    """(N, 4, 4); NaN where the frame isn't registered."""
     model: Ints
-    """(N,) which of the models has the frame, -1: none."""
     point_model: Ints
-    """(P,) which of the models the point is from."""
     point_ids: Ints
-    """(P,) COLMAP's ids, unique within a model."""
     xyz: Array
-    """(P, 3) in the sfm frame of the point's model."""
     rgb: NDArray[np.uint8]
-    """(P, 3)"""
     frame: Ints
-    """(M,) the row of each observation's frame."""
     point: Ints
-    """(M,) the index of its point."""
     observed_px: Array
-    """(M, 2) where the point is observed."""
     residual_px: Array
-    """(M, 2) where the point is projected minus where it is observed."""
 
     @property
     def registered(self) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar
 
 from groundwalk.store.registry import Entry, Lazy, Registry, callable_faults
 
@@ -21,21 +21,14 @@ class MappingInput:
     seed: int
 
 
-class Mapper(Protocol):
-    """`folder` is for the mapper to write in; `registered` is called for each registered image, where it can be."""
-
-    def __call__(
-        self, source: MappingInput, folder: Path, registered: Callable[[], None]
-    ) -> "list[pycolmap.Reconstruction]": ...
-
-
 @dataclass(frozen=True, kw_only=True)
 class MapperEntry(Entry):
-    """A mapper: `run(source, folder, registered)`, as `Mapper` describes."""
+    """A mapper: `run(source, folder, registered)`. `folder` is to write in; `registered` is called for each registered
+    image, where it can be."""
 
     noun: ClassVar[str] = "mapper"
 
-    run: Mapper = field(repr=False)
+    run: Callable[[MappingInput, Path, Callable[[], None]], "list[pycolmap.Reconstruction]"] = field(repr=False)
 
     def faults(self) -> Iterable[str]:
         yield from super().faults()
@@ -44,18 +37,12 @@ class MapperEntry(Entry):
 
 MAPPERS = Registry("groundwalk.mappers", MapperEntry)
 
-INCREMENTAL = MapperEntry(
-    id="incremental",
-    label="incremental",
-    meaning="COLMAP's incremental mapping",
-    run=Lazy("groundwalk.sfm.mapping.mappers:incremental"),
-)
-GLOBAL = MapperEntry(
-    id="global", label="global", meaning="COLMAP's global mapping", run=Lazy("groundwalk.sfm.mapping.mappers:global_")
-)
-HIERARCHICAL = MapperEntry(
-    id="hierarchical",
-    label="hierarchical",
-    meaning="COLMAP's hierarchical mapping",
-    run=Lazy("groundwalk.sfm.mapping.mappers:hierarchical"),
+INCREMENTAL, GLOBAL, HIERARCHICAL = (
+    MapperEntry(
+        id=name,
+        label=name,
+        meaning=f"COLMAP's {name} mapping",
+        run=Lazy(f"groundwalk.sfm.mapping.mappers:{name}_mapping"),
+    )
+    for name in ("incremental", "global", "hierarchical")
 )

@@ -68,7 +68,13 @@ def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model
         for row, camera, image in zip(rows.tolist(), cameras, images, strict=True):
             stream.set_time(FRAME_TIMELINE, sequence=row)
             stream.set_time(TIMELINE, duration=since_start[row])
-            _log_view(stream, image, camera, model, row)
+            # Where in the image a camera without rolling shutter sees the points.
+            _, pinhole = _small(camera)
+            log_camera(stream, "sfm/camera", model.sfm_T_cam[row], pinhole, REJECTED, 2 * _FRUSTUM)
+            stream.log("sfm/camera/image", image)
+            observed_px = pinhole.project(camera.unproject(model.observed_px[model.frame == row]))
+            seen = rr.Points2D(observed_px, colors=GROUND_TRUTH, radii=rr.Radius.ui_points(1.5))
+            stream.log("sfm/camera/image/seen", seen)
 
 
 def _blueprint() -> rrb.Blueprint:
@@ -127,15 +133,3 @@ def _undistorted(path: Path, camera: Camera) -> rr.Image | rr.EncodedImage:
     small, pinhole = _small(camera)
     shrunk = np.asarray(cv2.resize(image, (small.width, small.height), interpolation=cv2.INTER_AREA), np.uint8)
     return rr.Image(undistorted_image(shrunk, small, pinhole)).compress(75)
-
-
-def _log_view(
-    stream: rr.RecordingStream, image: rr.Image | rr.EncodedImage, camera: Camera, model: Model, row: int
-) -> None:
-    """The moving camera with its image, and where in it a camera without rolling shutter sees the points."""
-    _, pinhole = _small(camera)
-    log_camera(stream, "sfm/camera", model.sfm_T_cam[row], pinhole, REJECTED, 2 * _FRUSTUM)
-    stream.log("sfm/camera/image", image)
-    observed_px = pinhole.project(camera.unproject(model.observed_px[model.frame == row]))
-    seen = rr.Points2D(observed_px, colors=GROUND_TRUTH, radii=rr.Radius.ui_points(1.5))
-    stream.log("sfm/camera/image/seen", seen)

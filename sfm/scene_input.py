@@ -7,22 +7,22 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from groundwalk.sfm.cameras.focal_lengths import ESTIMATED_SD, estimate_focal_lengths, sample_unstated
 from groundwalk.sfm.cameras.lenses import started, with_lenses, write_lens_database
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log
-from groundwalk.sfm.cameras.start_lens import start_lenses
+from groundwalk.sfm.cameras.starts import ESTIMATED_SD, estimate_focal_lengths, sample_unstated, start_lenses
 from groundwalk.sfm.database import (
     Workspace,
     copy_features,
     copy_matches,
     create_database,
+    extract_features,
+    features_name,
     image_names,
     is_sound,
     keypoint_counts,
 )
 from groundwalk.sfm.mapping.attempts import more_features
 from groundwalk.sfm.pairs.candidates import unique_pairs
-from groundwalk.sfm.pairs.features import extract_features, features_name
 from groundwalk.sfm.pairs.odometry import Odometry, odometry
 from groundwalk.sfm.pairs.selection import pairs_within_sessions
 from groundwalk.sfm.settings import SfmSettings
@@ -139,7 +139,6 @@ def extracted_features(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Wor
 
 
 def logged_cameras(r: StageRun[SfmSettings], frames: pd.DataFrame, sessions: pd.DataFrame) -> CameraLog:
-    """The cameras of all frames before a model of them is adjusted."""
     devices = dict(zip(sessions["session_id"], sessions["device"], strict=True))
     return camera_log(frames, devices, r.read("import", "vio"), r.read("import", "jumps"), r.settings)
 
@@ -147,7 +146,6 @@ def logged_cameras(r: StageRun[SfmSettings], frames: pd.DataFrame, sessions: pd.
 def with_start_lenses(
     r: StageRun[SfmSettings], frames: pd.DataFrame, vio: Odometry, work: Workspace, cameras: CameraLog
 ) -> CameraLog:
-    """The cameras with the lenses that mapping starts from."""
     if r.settings.refine_cameras == "never":
         return cameras
     path = work.scratch / "start_lenses.json"
@@ -197,7 +195,7 @@ def kept_features(r: StageRun[SfmSettings], settings: SfmSettings) -> Path | Non
 
 def keep_features(r: StageRun[SfmSettings], work: Workspace, settings: SfmSettings) -> None:
     """Leave the features by these settings, and all matches, for runs that add recordings or take some out."""
-    partial, name = r.work / f"{FEATURES}.partial", features_name(settings)
-    shutil.copyfile(work.scratch / f"features{name}.db", partial)
-    copy_matches(work.scratch / f"database{name}.db", partial)
-    partial.replace(r.work / FEATURES)
+    name = features_name(settings)
+    with written_aside(r.work / FEATURES) as partial:
+        shutil.copyfile(work.scratch / f"features{name}.db", partial)
+        copy_matches(work.scratch / f"database{name}.db", partial)

@@ -12,9 +12,8 @@ from groundwalk.sfm.cameras.lenses import with_lenses
 from groundwalk.sfm.cameras.model_adjustment import cameras_of_frames, load_adjusted
 from groundwalk.sfm.extension import HeldArtefact, refuse_misfit
 from groundwalk.sfm.mapping.attempts import Attempt, run_attempts
-from groundwalk.sfm.mapping.build import build_models
+from groundwalk.sfm.mapping.build import build_models, extend_models
 from groundwalk.sfm.mapping.built import BuiltModel, read_built, selected_models
-from groundwalk.sfm.mapping.extending import extend_models
 from groundwalk.sfm.mapping.held_out import VerifiedPairs, held_out_check, read_matches
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.pairs import verification
@@ -32,12 +31,10 @@ from groundwalk.store.choices import AttemptName, PoseSource
 from groundwalk.store.tables import with_cameras
 
 _IN_CHILDREN = (
-    "groundwalk.sfm.cameras.focal_lengths",
-    "groundwalk.sfm.cameras.start_lens",
+    "groundwalk.sfm.cameras.starts",
+    "groundwalk.sfm.database",
     "groundwalk.sfm.mapping.build",
-    "groundwalk.sfm.mapping.extending",
-    "groundwalk.sfm.pairs.features",
-    "groundwalk.sfm.pairs.neighbours",
+    "groundwalk.sfm.pairs.verification",
 )
 
 

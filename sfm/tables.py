@@ -162,7 +162,6 @@ def attempts_table(attempts: Sequence[Attempt], best: Attempt) -> pd.DataFrame:
 
 
 def pairs_table(frame_ids: Sequence[str], matched: pd.DataFrame) -> pd.DataFrame:
-    """One row a pair."""
     names = np.asarray(frame_ids, dtype=object)
     degrees = {
         f"{name}_deg": np.degrees(matched[name].to_numpy(float))
@@ -173,7 +172,6 @@ def pairs_table(frame_ids: Sequence[str], matched: pd.DataFrame) -> pd.DataFrame
 
 
 def points_table(model: Model, selected: Sequence[BuiltModel]) -> pd.DataFrame:
-    """One row a point."""
     table = pd.DataFrame({"model_id": _model_ids(selected)[model.point_model], "point_id": model.point_ids})
     table[["x", "y", "z"]] = model.xyz
     table[["r", "g", "b"]] = model.rgb.astype(np.int64)

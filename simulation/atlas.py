@@ -1,11 +1,14 @@
 """All pictures of a place in one image with its mip levels, so that one remap looks up any surface at any scale."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.geometry.poses import Array
 from groundwalk.store import UserError
 from groundwalk.store.hints import setting_of
 
@@ -13,6 +16,8 @@ LEVELS = 6
 _GUTTER = 1 << (LEVELS - 1)  # one texel of the coarsest level: neighbours never bleed into a picture
 _WIDTHS = (4096, 8192, 16384)
 _MAX_SIDE = 32766  # what cv2.remap can address
+_ARRAYS = "mesh.npz"
+_ATLAS = "atlas.npy"
 
 
 def pack(sizes_N2: Sequence[tuple[int, int]]) -> tuple[NDArray[np.int64], tuple[int, int]]:
@@ -72,3 +77,50 @@ def fill_levels(atlas: NDArray[np.uint8], height: int, width: int) -> None:
             half = cv2.resize(finer, (width >> level, height >> level), interpolation=cv2.INTER_AREA)
             finer = np.asarray(half, np.uint8)
             atlas[y : y + finer.shape[0], x : x + finer.shape[1]] = finer
+
+
+@dataclass(frozen=True)
+class TexturedMesh:
+    """Triangles of a place and how each looks up its colour.
+
+    texel = texel_a_T23 @ point + texel_b_T2 maps a world point on triangle t to its picture (x right, y down, texel
+    centres at 0.5); `box_T4` is that picture's place in the atlas (x, y, width, height). `tint_T` multiplies
+    colours, `surface_T` tells surfaces apart, `glass_T` marks panes.
+    """
+
+    vertices_V3: Array
+    triangles_T3: NDArray[np.int64]
+    texel_a_T23: Array
+    texel_b_T2: Array
+    box_T4: NDArray[np.float32]
+    tint_T: NDArray[np.float32]
+    surface_T: NDArray[np.int32]
+    glass_T: NDArray[np.bool_]
+    atlas_shape: NDArray[np.int64]
+    atlas_HW3: NDArray[np.uint8]
+
+    @property
+    def normals_T3(self) -> Array:
+        """Unit normals, outward."""
+        a, b, c = (self.vertices_V3[self.triangles_T3[:, k]] for k in range(3))
+        n = np.cross(b - a, c - a)
+        return n / np.linalg.norm(n, axis=1, keepdims=True)
+
+    def save(self, folder: Path) -> None:
+        """Write the mesh so that several processes can map it; complete once _ARRAYS is there."""
+        folder.mkdir(parents=True, exist_ok=True)
+        np.save(folder / _ATLAS, self.atlas_HW3)
+        arrays = {k: v for k, v in vars(self).items() if k != "atlas_HW3"}
+        partial = folder / "partial.npz"
+        np.savez(partial, **arrays)
+        partial.replace(folder / _ARRAYS)
+
+    @staticmethod
+    def load(folder: Path) -> "TexturedMesh":
+        """A saved mesh; the atlas stays on disk, mapped into memory."""
+        with np.load(folder / _ARRAYS) as arrays:
+            return TexturedMesh(**arrays, atlas_HW3=np.load(folder / _ATLAS, mmap_mode="r"))
+
+
+def is_saved(folder: Path) -> bool:
+    return (folder / _ARRAYS).is_file()

@@ -13,7 +13,7 @@ from groundwalk.geometry.lens import k1_k2_of_k3
 from groundwalk.geometry.poses import Array
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.view import RadialDistortion, Rendering, View
-from groundwalk.simulation.wander import wander
+from groundwalk.simulation.walks import wander
 
 FOCAL = 1447.65 / 1920  # of the image width: a phone's wide camera, 4:3
 _CENTRE = (967.5 / 1920, 692.5 / 1920)

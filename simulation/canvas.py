@@ -70,7 +70,6 @@ class Canvas:
         return np.asarray(field, np.float32)
 
     def fill(self, colour: Bgr) -> None:
-        """One colour everywhere."""
         self.image[:] = _byte(colour)
 
     def add(self, field: Field, colour: Bgr = (1.0, 1.0, 1.0)) -> None:
@@ -93,16 +92,13 @@ class Canvas:
         self.image[max(r0, 0) : max(r1, 0), max(c0, 0) : max(c1, 0)] = _byte(colour)
 
     def polygon(self, points_m: Sequence[tuple[float, float]], colour: Bgr) -> None:
-        """A filled polygon."""
         cv2.fillPoly(self.image, [self._fine(points_m)], colour, cv2.LINE_AA, shift=4)
 
     def line(self, points_m: Sequence[tuple[float, float]], width_m: float, colour: Bgr) -> None:
-        """A line through the points."""
         thickness = max(1, round(width_m / self.texel_m))
         cv2.polylines(self.image, [self._fine(points_m)], False, colour, thickness, cv2.LINE_AA, shift=4)
 
     def disc(self, x: float, y: float, radius_m: float, colour: Bgr) -> None:
-        """A filled circle."""
         centre = self._fine([(x, y)])[0]
         cv2.circle(self.image, centre, round(16 * radius_m / self.texel_m), colour, -1, cv2.LINE_AA, shift=4)
 

@@ -28,7 +28,6 @@ class SessionFrames:
 
     @property
     def image_indices(self) -> range:
-        """The poses that have a picture."""
         return range(0, len(self.time_s), self.image_every)
 
 

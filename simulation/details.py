@@ -85,7 +85,6 @@ def window(c: Canvas, x: float, y: float, w: float, h: float, frame: Bgr, same: 
 
 
 def arched_window(c: Canvas, x: float, y: float, w: float, h: float) -> None:
-    """A pointed church window of coloured glass in lead."""
     arch = [(x, y), (x + w, y), (x + w, y + h * 0.65), (x + w * 0.85, y + h * 0.87), (x + w / 2, y + h)]
     arch += [(x + w * 0.15, y + h * 0.87), (x, y + h * 0.65)]
     middle = np.array([x + w / 2, y + h / 2])
@@ -126,7 +125,6 @@ def door(c: Canvas, x: float, w: float, h: float, colour: Bgr) -> None:
 
 
 def shop_sign(c: Canvas, x: float, y: float, w: float, h: float) -> None:
-    """A painted board with a name and a line of small print."""
     ground = bright(c.rng)
     ink = contrast(ground)
     c.box(x - 0.03, y - 0.03, x + w + 0.03, y + h + 0.03, (50, 50, 50))
@@ -137,7 +135,6 @@ def shop_sign(c: Canvas, x: float, y: float, w: float, h: float) -> None:
 
 
 def emblem(c: Canvas, x: float, y: float, radius_m: float) -> None:
-    """A random star or ring in two colours."""
     c.disc(x, y, radius_m, bright(c.rng))
     n = int(c.rng.integers(3, 8))
     reach = radius_m * np.where(np.arange(2 * n) % 2, 0.4, 0.9)
@@ -146,7 +143,6 @@ def emblem(c: Canvas, x: float, y: float, radius_m: float) -> None:
 
 
 def poster(c: Canvas, x: float, y: float, w: float, h: float) -> None:
-    """A poster: coloured ground, shapes, a title and lines of print."""
     ground = bright(c.rng)
     ink = contrast(ground)
     c.box(x - 0.02, y - 0.02, x + w + 0.02, y + h + 0.02, (225, 228, 230))
@@ -165,7 +161,6 @@ def poster(c: Canvas, x: float, y: float, w: float, h: float) -> None:
 
 
 def notice(c: Canvas, x: float, y: float, w: float, h: float) -> None:
-    """A sheet of paper with print, pinned up."""
     c.box(x, y, x + w, y + h, vary((232, 236, 238), c.rng, 10))
     rows = max(3, int(h / 0.04))
     for k in range(rows):
@@ -178,7 +173,6 @@ def notice(c: Canvas, x: float, y: float, w: float, h: float) -> None:
 
 
 def picture(c: Canvas, x: float, y: float, w: float, h: float) -> None:
-    """A framed painting: a landscape of hills, or strokes."""
     c.box(x - 0.06, y - 0.06, x + w + 0.06, y + h + 0.06, vary((40, 70, 100), c.rng, 25))
 
     def paint(p: Canvas) -> None:
@@ -199,7 +193,6 @@ def picture(c: Canvas, x: float, y: float, w: float, h: float) -> None:
 
 
 def graffiti(c: Canvas, x: float, y: float, w: float, h: float) -> None:
-    """A tag: a word with an outline over a cloud of paint."""
     for _ in range(5):
         u, v = x + w * c.rng.uniform(0.15, 0.85), y + h * c.rng.uniform(0.25, 0.75)
         c.disc(u, v, h * c.rng.uniform(0.15, 0.35), bright(c.rng))
@@ -213,7 +206,6 @@ def graffiti(c: Canvas, x: float, y: float, w: float, h: float) -> None:
 
 
 def books(c: Canvas, x: float, y: float, w: float, h: float) -> None:
-    """A row of books and folders of many colours between x and x + w."""
     c.box(x, y, x + w, y + h, (30, 32, 36))
     u = x
     while u < x + w - 0.02:
@@ -228,7 +220,6 @@ def books(c: Canvas, x: float, y: float, w: float, h: float) -> None:
 
 
 def bookcase(c: Canvas, colour: Bgr, shelf_m: float = 0.36) -> None:
-    """A whole canvas of shelves with books."""
     c.fill(colour)
     y = 0.08
     while y + shelf_m - 0.04 < c.height_m:
@@ -238,7 +229,6 @@ def bookcase(c: Canvas, colour: Bgr, shelf_m: float = 0.36) -> None:
 
 
 def ivy(c: Canvas, x: float, y: float, w: float, h: float) -> None:
-    """Leaves over a wall, thick at the bottom."""
     count = round(60.0 * w * h)
     u = x + w * c.rng.uniform(0, 1, count)
     v = y + h * c.rng.beta(1, 2, count)
@@ -247,7 +237,6 @@ def ivy(c: Canvas, x: float, y: float, w: float, h: float) -> None:
 
 
 def number_board(c: Canvas, labels: Sequence[str]) -> None:
-    """A signboard with several lines of text and arrows."""
     c.fill((110, 60, 25))
     n = len(labels)
     for k, label in enumerate(labels):

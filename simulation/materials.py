@@ -99,7 +99,6 @@ def plaster(colour: Bgr, roughness: float = 1.0) -> Material:
 
 
 def crack(c: Canvas) -> None:
-    """A thin dark crack that wanders."""
     x, y = c.rng.uniform(0, c.width_m), c.rng.uniform(0, c.height_m)
     angle = c.rng.uniform(0, 2 * math.pi)
     points = [(x, y)]
@@ -145,7 +144,6 @@ def cobbles(size_m: float, colours: Sequence[Bgr], joint: Bgr) -> Material:
 
 
 def asphalt(c: Canvas) -> None:
-    """Speckled dark grey with cracks, mended patches and leaves."""
     c.fill((98, 98, 96))
     c.add(c.noise((0.025, 0.04, 0.08), (1, 1, 0.5)), (16, 16, 16))
     weather(c)
@@ -155,7 +153,6 @@ def asphalt(c: Canvas) -> None:
 
 
 def litter(c: Canvas, per_m2: float) -> None:
-    """Leaves, chewing gum and scraps on the ground."""
     colours = [(40, 90, 150), (30, 60, 110), (60, 120, 90), (225, 225, 225), (35, 35, 35), (50, 140, 190)]
     for _ in range(round(c.width_m * c.height_m * per_m2)):
         x, y = c.rng.uniform(0, c.width_m), c.rng.uniform(0, c.height_m)
@@ -167,7 +164,6 @@ def litter(c: Canvas, per_m2: float) -> None:
 
 
 def grass(c: Canvas) -> None:
-    """A lawn with bare spots, darker tufts and flowers."""
     c.fill((48, 112, 92))
     c.add(c.noise((0.03, 0.06, 0.12), (1, 1, 0.8)), (10, 20, 14))
     c.add(c.noise((0.3, 0.8, 2.5)), (5, 11, 10))
@@ -180,7 +176,6 @@ def grass(c: Canvas) -> None:
 
 
 def gravel(c: Canvas) -> None:
-    """Pale gravel with larger pebbles."""
     c.fill((150, 162, 170))
     c.add(c.noise((0.024, 0.04, 0.07), (1, 1, 1)), (26, 26, 26))
     weather(c, 0.8)
@@ -188,8 +183,6 @@ def gravel(c: Canvas) -> None:
 
 
 def foliage(colour: Bgr) -> Material:
-    """Leaves: light and dark flecks of many sizes."""
-
     def paint(c: Canvas) -> None:
         c.fill(colour)
         field = c.noise((0.05, 0.09, 0.17, 0.35), (0.8, 1, 1, 0.8))
@@ -205,8 +198,6 @@ def foliage(colour: Bgr) -> Material:
 
 
 def wood(colour: Bgr, plank_m: float = 0.14) -> Material:
-    """Boards with grain and knots."""
-
     def paint(c: Canvas) -> None:
         masonry(plank_m, 1.7, [colour], (colour[0] * 0.4, colour[1] * 0.4, colour[2] * 0.4), 0.006, 12)(c)
         h, w = c.shape
@@ -220,8 +211,6 @@ def wood(colour: Bgr, plank_m: float = 0.14) -> Material:
 
 
 def panels(colour: Bgr, width_m: float = 1.2, height_m: float = 0.8) -> Material:
-    """Metal or concrete panels with seams, rivets and rain marks."""
-
     def paint(c: Canvas) -> None:
         masonry(height_m, width_m, [colour], (40, 40, 40), 0.015, 7)(c)
         streaks(c, 9)
@@ -230,8 +219,6 @@ def panels(colour: Bgr, width_m: float = 1.2, height_m: float = 0.8) -> Material
 
 
 def marble(colour: Bgr, vein: Bgr) -> Material:
-    """Polished stone with veins."""
-
     def paint(c: Canvas) -> None:
         c.fill(colour)
         c.add(c.noise((0.1, 0.3, 0.9)), (8, 8, 8))
@@ -244,8 +231,6 @@ def marble(colour: Bgr, vein: Bgr) -> Material:
 
 
 def tiles(size_m: float, colours: Sequence[Bgr], joint: Bgr, spread: float = 8.0) -> Material:
-    """Square tiles in straight rows, each of its own tone."""
-
     def paint(c: Canvas) -> None:
         h, w = c.shape
         column = (np.arange(w) * c.texel_m / size_m).astype(int)
@@ -269,8 +254,6 @@ def tiles(size_m: float, colours: Sequence[Bgr], joint: Bgr, spread: float = 8.0
 
 
 def stripes(first: Bgr, second: Bgr, width_m: float) -> Material:
-    """Cloth in two colours, as of awnings."""
-
     def paint(c: Canvas) -> None:
         for k in range(int(c.width_m / width_m) + 1):
             c.box(width_m * k, 0, width_m * k + width_m, c.height_m, second if k % 2 else first)
@@ -280,8 +263,6 @@ def stripes(first: Bgr, second: Bgr, width_m: float) -> Material:
 
 
 def carpet(colour: Bgr) -> Material:
-    """Woven carpet with worn tracks and spots."""
-
     def paint(c: Canvas) -> None:
         c.fill(colour)
         c.add(c.noise((0.006, 0.012, 0.025, 0.05, 0.1)), (14, 14, 14))

@@ -5,15 +5,19 @@ from collections.abc import Callable, Iterable
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from groundwalk.simulation import atlas
+from groundwalk.simulation.atlas import TexturedMesh
 from groundwalk.simulation.canvas import Canvas
-from groundwalk.simulation.lighting import brightness, light_on_quad
-from groundwalk.simulation.place import Crown, Place, Quad, Vec
+from groundwalk.simulation.place import Crown, Light, Place, Quad, Vec
 from groundwalk.simulation.raycast import Caster
-from groundwalk.simulation.textured_mesh import TexturedMesh
 
 Track = Callable[[Iterable[Quad | Crown], str], Iterable[Quad | Crown]]
+SPACING_M = 0.15  # between light samples; pictures are finer
+_SKY_RAYS = 24
+_SKY_REACH_M = 5.0
+_LIFT_M = 0.01
 
 
 def build_mesh(place: Place, texel_m: float, seed: int, track: Track = lambda items, _: items) -> TexturedMesh:
@@ -115,3 +119,56 @@ def _crown_shade(crown: Crown, place: Place, caster: Caster) -> Vec:
     normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return np.sqrt(brightness(p.mean(axis=1), normal, place.light, caster))
+
+
+def light_on_quad(quad: Quad, light: Light, caster: Caster) -> NDArray[np.float32]:
+    """Brightness (rows, columns) of a quad's picture, top row first, one sample each SPACING_M or less."""
+    rows = max(2, round(quad.height_m / SPACING_M))
+    columns = max(2, round(quad.width_m / SPACING_M))
+    t = 1 - (np.arange(rows) + 0.5) / rows
+    s = (np.arange(columns) + 0.5) / columns
+    points = quad.corner + s[None, :, None] * quad.right + t[:, None, None] * quad.up
+    normals = np.broadcast_to(quad.normal, (rows * columns, 3))
+    return brightness(points.reshape(-1, 3), normals, light, caster).reshape(rows, columns)
+
+
+def brightness(points_N3: Vec, normals_N3: Vec, light: Light, caster: Caster) -> NDArray[np.float32]:
+    """How bright a white surface looks (N,), 1 meaning 'as painted'."""
+    start = points_N3 + _LIFT_M * normals_N3
+    total = light.ambient * (0.35 + 0.65 * _open_sky(start, normals_N3, caster))
+    if light.sun is not None:
+        towards = np.array(light.sun) / np.linalg.norm(light.sun)
+        facing = np.maximum(normals_N3 @ towards, 0)
+        dark = caster.blocked(_rays(start, np.broadcast_to(towards, start.shape)), np.inf)
+        total += light.sun_strength * facing * ~dark
+    for position, strength in light.lamps:
+        way = np.array(position) - start
+        distance = np.linalg.norm(way, axis=1)
+        facing = np.maximum(np.einsum("ij,ij->i", normals_N3, way) / distance, 0)
+        dark = caster.blocked(_rays(start, way), 0.98)
+        total += strength * (0.25 + 0.75 * facing) * ~dark / np.maximum(distance, 0.7)
+    return total.astype(np.float32)
+
+
+def _open_sky(start_N3: Vec, normals_N3: Vec, caster: Caster) -> Vec:
+    """Share (N,) of the hemisphere over each point without anything near in it (ambient occlusion)."""
+    rng = np.random.default_rng(0)
+    u, v = (np.arange(_SKY_RAYS) + 0.5) / _SKY_RAYS, (np.arange(_SKY_RAYS) * 0.618034) % 1
+    radius, angle = np.sqrt(u), 2 * np.pi * v
+    local = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - u)], axis=1)
+    helper = np.where(np.abs(normals_N3[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
+    side = np.cross(helper, normals_N3)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    other = np.cross(normals_N3, side)
+    free = np.zeros(len(start_N3))
+    for x, y, z in local:
+        # A turn of its own at each point trades bands for faint noise.
+        turn = rng.uniform(0, 2 * np.pi, (len(start_N3), 1))
+        a, b = x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)
+        direction = a * side + b * other + z * normals_N3
+        free += ~caster.blocked(_rays(start_N3, direction), _SKY_REACH_M)
+    return free / _SKY_RAYS
+
+
+def _rays(start_N3: Vec, direction_N3: Vec) -> NDArray[np.float32]:
+    return np.hstack([start_N3, direction_N3]).astype(np.float32)

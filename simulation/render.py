@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
 from groundwalk.simulation import atlas
+from groundwalk.simulation.atlas import TexturedMesh
 from groundwalk.simulation.raycast import NOTHING, Caster, Hits
-from groundwalk.simulation.textured_mesh import TexturedMesh
 from groundwalk.simulation.view import F32, Rendering, View, turned
 
 _MAX_TAPS = 8
@@ -48,8 +48,6 @@ class Sky:
 
 
 class Renderer:
-    """Renders views of one mesh."""
-
     def __init__(self, mesh: TexturedMesh) -> None:
         self._mesh = mesh
         self._caster = Caster(mesh.vertices_V3, mesh.triangles_T3)

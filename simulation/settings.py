@@ -52,7 +52,6 @@ class SimulateSettings(Settings):
 
     @property
     def height(self) -> int:
-        """Image height, pixels."""
         return 3 * self.width // 4
 
     @field_validator("lens")

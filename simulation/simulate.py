@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import pandas as pd
 
+from groundwalk.simulation.atlas import TexturedMesh, is_saved
 from groundwalk.simulation.capture import write_frames
 from groundwalk.simulation.existing import is_made, key_of, written_files
 from groundwalk.simulation.mesh import build_mesh
@@ -16,7 +17,6 @@ from groundwalk.simulation.render import Renderer
 from groundwalk.simulation.scenes import NAMES, scenery
 from groundwalk.simulation.session import Shot, SimulatedSession, outline, plan_session, take
 from groundwalk.simulation.settings import SimulateSettings
-from groundwalk.simulation.textured_mesh import TexturedMesh, is_saved
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.files import partial_folder, swap_in, write_json
 from groundwalk.store.hints import link_command
@@ -128,7 +128,6 @@ _take: Callable[[Shot], None]
 
 
 def _start_worker(work: Path, settings: SimulateSettings, threads: int = 1) -> None:
-    """Make a process ready to render shots."""
     global _take
     cv2.setNumThreads(threads)
     _take = functools.partial(take, renderer=Renderer(TexturedMesh.load(work / _MESH)), settings=settings)

@@ -98,8 +98,7 @@ def _ratios(lens: RadialDistortion, reach: float) -> F32:
 @dataclass(frozen=True)
 class Shutter:
     """The camera's motion over the rows, in the axes of its pose at the middle row, as polynomials without constant in
-    a row's height u = y / height - 0.5: `turn_33` (axis times the tangent of half the angle), `shift_33` (metres).
-    """
+    a row's height u = y / height - 0.5: `turn_33` (axis times the tangent of half the angle), `shift_33` (metres)."""
 
     turn_33: Array
     shift_33: Array

@@ -8,9 +8,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
-from groundwalk.geometry.poses import make_pose
+from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.simulation.place import UP, Place, Route, Vec
-from groundwalk.simulation.wander import wander
 
 MARGIN_M = 0.35  # kept from everything solid
 EYE_M = 1.5
@@ -188,8 +187,7 @@ def _clock(
 
 def _glances(t: Vec, duration_s: float, route: Route, rng: np.random.Generator) -> Vec:
     """Looks aside and back, a few a minute. Some go far aside, to where no other walk may have looked from there:
-    it's in such views that regressors fail by metres, and that gives their errors the long tail that real ones have.
-    """
+    it's in such views that regressors fail by metres, and that gives their errors the long tail that real ones have."""
     yaw = np.zeros_like(t)
     for moment in np.arange(rng.uniform(4, 14), duration_s, 14):
         middle, side = moment + rng.uniform(-4, 4), rng.choice([-1, 1])
@@ -198,3 +196,11 @@ def _glances(t: Vec, duration_s: float, route: Route, rng: np.random.Generator) 
         half = max(rng.uniform(1.2, 2.2), reach_deg / route.turn_deg_s)
         yaw += math.radians(side * reach_deg) * np.exp(-(((t - middle) / half) ** 2))
     return yaw
+
+
+def wander(t_s: Array, low_hz: float, high_hz: float, rng: np.random.Generator) -> Array:
+    """Smooth noise (N,) of about unit deviation with frequencies from low to high."""
+    n = 9
+    frequency = np.exp(rng.uniform(math.log(low_hz), math.log(high_hz), n))
+    phase = rng.uniform(0, 2 * math.pi, n)
+    return np.sin(2 * math.pi * np.outer(t_s, frequency) + phase).sum(axis=1) * math.sqrt(2 / n)

@@ -16,7 +16,7 @@ from groundwalk.capture_import.checks.features import LONG_SIDE, detect_features
 from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.lens import undistort
-from groundwalk.geometry.pose_conventions import POSE_CONVENTIONS, PoseChange, turned_image
+from groundwalk.geometry.pose_conventions import POSE_CONVENTIONS, turned_image
 from groundwalk.geometry.poses import Array, relative, rotation_angle
 from groundwalk.store.parallel import in_parallel
 
@@ -218,10 +218,6 @@ def _explained(pair: _MatchedPair, change: Change) -> float:
     return float(np.mean((errors_px < _NEAR_PX) & (ab * bt - bb * at > 0) & (aa * bt - ab * at > 0)))
 
 
-def _on_pose(change: PoseChange) -> Change:
-    return lambda camera: (change(camera[0]), camera[1])
-
-
 def _turned_with_intrinsics(quarters: int) -> Change:
     """The image is turned by quarters clockwise against the pose, and its intrinsics aren't."""
     turn = turned_image(quarters)
@@ -235,7 +231,7 @@ def _times(*factors: float) -> Change:
 
 CONVENTIONS: tuple[tuple[str, Change], ...] = (
     ("as declared", lambda camera: camera),
-    *((name, _on_pose(change)) for name, change in POSE_CONVENTIONS),
+    *((name, lambda camera, change=change: (change(camera[0]), camera[1])) for name, change in POSE_CONVENTIONS),
     ("image is turned by 90 degrees clockwise against pose and intrinsics", _turned_with_intrinsics(1)),
     ("image is turned by 90 degrees counter-clockwise against pose and intrinsics", _turned_with_intrinsics(3)),
     ("the images are mirrored left to right", _times(-1, 1, 1, 1)),

@@ -73,7 +73,6 @@ def check_gravity(sessions: Sequence[Session], images: ImageReader) -> GravityCh
 
 
 def with_gravity(sessions: Sequence[Session], check: GravityCheck) -> list[Session]:
-    """The sessions of a recording with what was found of its gravity."""
     aligned, source = check.is_aligned, check.source
     return [
         replace(session, recording=replace(session.recording, is_gravity_aligned=aligned, up_source=source))

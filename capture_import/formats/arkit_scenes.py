@@ -1,14 +1,9 @@
 """ARKitScenes, raw part: `lowres_wide.traj` with images and intrinsics a frame.
 
-Documented at https://github.com/apple/ARKitScenes/blob/main/DATA.md. What matters:
-
-- names are `<video>_<seconds>.png` and `.pincam`; times are seconds since the device was started;
-- `lowres_wide.traj`, 10 rows a second: time, axis-angle rotation in radians and translation of the world-to-camera
-  transform, with OpenCV's camera axes in a world whose +z is up;
-- `.pincam`: width, height, fx, fy, cx, cy;
-- the trajectory was refined with a laser scan: it's a reference, not the device's own odometry;
-- `lowres_depth/<video>_<seconds>.png`: 16 bits, millimetres, 256x192, and `confidence/`: 0 to 2, of the frames whose
-  images have the same name.
+https://github.com/apple/ARKitScenes/blob/main/DATA.md. Names are `<video>_<seconds>.png` and `.pincam`, seconds since
+the device was started. A row of the trajectory is time, axis-angle rotation in radians and translation of the
+world-to-camera transform, with OpenCV's camera axes in a world whose +z is up; it was refined with a laser scan, so
+it's a reference. Depth and confidence have their image's name.
 """
 
 from pathlib import Path
@@ -18,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import images_in
 from groundwalk.geometry.poses import inverse, make_pose
 from groundwalk.store.choices import Clock, PoseSource
 
@@ -27,10 +21,11 @@ _IMAGES = ("wide", "vga_wide", "lowres_wide")
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the trajectory and the images; poses are interpolated where an image lies between two rows."""
     poses, rejects = parsing.read_rows(parsing.lines_of(path / "lowres_wide.traj", limits), _read_pose)
     folder = next(path / name for name in _IMAGES if (path / name).is_dir())
-    images, more = parsing.read_rows([(f"{folder.name}/{file.name}", file) for file in images_in(folder)], _read_image)
+    images, more = parsing.read_rows(
+        [(f"{folder.name}/{file.name}", file) for file in parsing.images_in(folder)], _read_image
+    )
     frames = parsing.join_by_time(poses, images)
     return Recording("iPad Pro, ARKitScenes", Clock.BOOT, path, frames, [*rejects, *more], PoseSource.REFERENCE)
 

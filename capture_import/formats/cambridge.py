@@ -1,14 +1,10 @@
-"""Cambridge Landmarks: `dataset_train.txt` and `dataset_test.txt` over folders of images.
+"""Cambridge Landmarks: `dataset_train.txt` and `dataset_test.txt` over folders of images, each of which is a recording.
 
-Documented at https://www.repository.cam.ac.uk/handle/1810/251342 (readme). What matters:
-
-- a row is an image's path, the camera's position in metres, and a quaternion w, x, y, z of the world-to-camera
-  rotation, with OpenCV's camera axes; poses come from SfM: a reference, not VIO, and nothing says where up is;
-- `reconstruction.nvm` (VisualSFM) has each image's focal length; the centre is in the middle of the image;
-- `frames.csv`, which our own exports write beside, has each image's whole intrinsics and goes before both;
-- frames have no times, and the order of names isn't one of time in every data set of this layout.
-
-A folder of images (`seq1`) is one recording; the lists say what each image is for.
+https://www.repository.cam.ac.uk/handle/1810/251342 (readme). A row is an image's path, the camera's position in metres,
+and a quaternion w, x, y, z of the world-to-camera rotation, with OpenCV's camera axes, by SfM: a reference, and nothing
+says where up is. `reconstruction.nvm` (VisualSFM) has each image's focal length; `frames.csv`, which our own exports
+write beside, has whole intrinsics and goes before it. Frames have no times, and the order of names isn't always one of
+time.
 """
 
 import csv
@@ -21,7 +17,6 @@ from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.data_sets import NO_DISTORTION, size_of
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import is_image
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, PoseSource, SessionSplit
@@ -31,16 +26,14 @@ _LISTS = {"dataset_train.txt": SessionSplit.TRAIN, "dataset_test.txt": SessionSp
 
 
 def detect(path: Path) -> bool:
-    """A folder of images beside dataset_train.txt or dataset_test.txt."""
     return (
         path.is_dir()
         and any((path.parent / name).is_file() for name in _LISTS)
-        and any(is_image(p) for p in path.iterdir())
+        and any(parsing.is_image(p) for p in path.iterdir())
     )
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the rows of both lists that lie in this folder."""
     rows: list[tuple[str, tuple[SessionSplit, str]]] = []
     for file, split in ((path.parent / name, split) for name, split in _LISTS.items()):
         of_split = (

@@ -1,26 +1,20 @@
-"""COLMAP: a model (`cameras` and `images`, `.bin` or `.txt`) in `sparse/0/`, `sparse/` or the folder, over images;
-or in the same places of a folder `colmap`, `distorted`, `output` or `model` beside them.
+"""COLMAP: a model (`cameras` and `images`, `.bin` or `.txt`) in `sparse/0/`, `sparse/` or the folder, over images; or
+in the same places of a folder `colmap`, `distorted`, `output` or `model` beside them.
 
-Documented at https://colmap.github.io/format.html. What matters:
+https://colmap.github.io/format.html. What matters:
 
-- a pose is world to camera, a quaternion w, x, y, z and a translation, with our camera axes and pixel centres at 0.5;
-- `images.txt` has two lines an image, the second of which may be empty; the points aren't read;
-- camera models SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are used as stated, and fisheye
-  ones become FULL_OPENCV's coefficients; images of others are left out;
+- a pose is world to camera, with our camera axes and pixel centres at 0.5: a reference without unit or up, but for our
+  own exports; frames have no times. Rigs aren't needed, as each image has its own pose;
 - a camera without coefficients states that there is no distortion only where COLMAP's `image_undistorter` made the
   images, which leaves `stereo/` and `run-colmap-*.sh` beside them, or where a folder beside the model is named so; of
-  images as a lens took them it says nothing;
-- nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
+  images as a lens took them it says nothing. Fisheye models become FULL_OPENCV's coefficients;
 - without `single_camera` COLMAP gives each image a camera of its own, though one phone took them all: where their focal
   lengths are alike, they're taken for one, of the medians;
-- the images' folder is the one in which the model's names lie: `images/`, or any other beside the model;
-- each image has its own pose, also where cameras form a rig: `rigs` and `frames` (COLMAP 3.12) aren't needed;
 - where `sparse/` holds several models, each has a world of its own: the largest is read, of our own exports all;
-- `test.txt`, which our exports write, says which images are for testing;
-- frames have no times, and the order of names isn't one of time.
+- `test.txt`, which our exports write, says which images are for testing.
 
-The poses are a reference, not VIO. Each folder of images in the images' folder is a recording. Models aren't read by
-pycolmap, as it may hang over a damaged one.
+Each folder of images in the images' folder is a recording. Models aren't read by pycolmap, which may hang over a
+damaged one.
 """
 
 import functools
@@ -47,7 +41,6 @@ from groundwalk.capture_import.data_sets import (
     read_reference,
 )
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import in_order
 from groundwalk.geometry.poses import Array, inverse
 from groundwalk.store import UserError
 
@@ -123,7 +116,7 @@ def _read_data_set(path: Path, limits: Limits) -> _DataSet | None:
     """What a folder's models hold; None where it has none, nor a workspace in it one of images that lie beside that."""
     for workspace in (path, *(path / name for name in _WORKSPACES)):
         sparse = workspace / "sparse"
-        below = in_order(p for p in sparse.iterdir() if p.is_dir()) if sparse.is_dir() else []
+        below = parsing.in_order(p for p in sparse.iterdir() if p.is_dir()) if sparse.is_dir() else []
         if folders := tuple(folder for folder in (*below, sparse, workspace) if _suffix_in(folder)):
             files = [file for folder in folders for name in ("cameras.*", "images.*") for file in folder.glob(name)]
             data_set = _read_models(path, folders, limits, tuple(f.stat().st_mtime_ns for f in (path, *files)))
@@ -151,14 +144,12 @@ def _read_models(path: Path, folders: tuple[Path, ...], limits: Limits, written:
 
 
 def detect(path: Path) -> bool:
-    """A folder with a model in sparse/0, sparse or itself beside a folder of its images, or a folder below that."""
     data_set = data_set_of(path, _images_of)
     images = None if data_set is None else _images_of(data_set)
     return images is not None and images.is_dir()
 
 
 def missing(path: Path) -> str:
-    """What a folder with a model lacks: the images that it names."""
     try:
         data_set = _read_data_set(path, Limits())
     except UserError:
@@ -167,7 +158,6 @@ def missing(path: Path) -> str:
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the images of one recording."""
     folder = data_set_of(path, _images_of) or path
     data_set = _read_data_set(folder, limits)
     assert data_set is not None  # `detect` has seen a model
@@ -250,7 +240,6 @@ def _with_shared_cameras(found: _Model) -> _Model:
 
 
 def _read_model(folder: Path, limits: Limits) -> _Model:
-    """A model as it's written."""
     suffix, most = _suffix_in(folder), limits.max_rows
     cameras, images = folder / f"cameras{suffix}", folder / f"images{suffix}"
     try:

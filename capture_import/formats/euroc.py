@@ -1,14 +1,9 @@
 """EuRoC's layout, which TUM-VI and others share: `mav0/cam0` with `mav0/state_groundtruth_estimate0`.
 
-Documented at https://projects.asl.ethz.ch/datasets/doku.php?id=kmavvisualinertialdatasets. What matters:
-
-- `cam0/data.csv`: time in nanoseconds and a file of `cam0/data/`; `cam1` isn't read;
-- `state_groundtruth_estimate0/data.csv` (TUM-VI: `mocap0`): time, position and quaternion (w first) of the body in a
-  world whose +z is up; `T_BS` of `cam0/sensor.yaml` is the camera in the body, with OpenCV's axes;
-- `sensor.yaml`: resolution, intrinsics (fx fy cx cy) and distortion_coefficients (OpenCV's k1 k2 p1 p2, or, where
-  distortion_model is equidistant, its fisheye model's).
-
-The poses are a reference, not VIO.
+https://projects.asl.ethz.ch/datasets/doku.php?id=kmavvisualinertialdatasets. Times are in nanoseconds; ground truth
+(TUM-VI: `mocap0`) is the body's, quaternion w first, in a world whose +z is up: a reference. `T_BS` of `cam0`'s
+`sensor.yaml` is the camera in the body, with OpenCV's axes; its distortion is OpenCV's k1 k2 p1 p2 or, where
+distortion_model is equidistant, its fisheye model's. `cam1` isn't read.
 """
 
 import re
@@ -24,7 +19,6 @@ _TRUTH = ("mav0/state_groundtruth_estimate0/data.csv", "mav0/mocap0/data.csv")
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read both lists; poses are interpolated where an image lies between two rows."""
     camera = path / "mav0" / "cam0"
     try:
         text = parsing.read_text(camera / "sensor.yaml")

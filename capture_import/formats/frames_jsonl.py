@@ -1,12 +1,5 @@
-"""Our own format: `frames.jsonl`, one JSON object a line, with images beside it.
-
-docs/reference/capture-formats.md describes it.
-The first line says what the recording is, each other line is one instant:
-
-    {"groundwalk": "frames", "version": 1, "device": "iPhone 14 Pro", "clock": "boot"}
-    {"t_ns": 5000100000000, "image": "images/000001.jpg", "vio_T_cam": [...16 numbers...],
-     "fx": 1447.6, "fy": 1447.6, "cx": 966.0, "cy": 691.7, "width": 1920, "height": 1440, "tracking": "normal"}
-"""
+"""Our own format: `frames.jsonl`, a header and then one JSON object an instant, with images beside it, as
+docs/reference/capture-formats.md describes it."""
 
 from dataclasses import replace
 from functools import partial
@@ -26,7 +19,6 @@ _CLOCKS = [clock for clock in Clock if clock.has_times]
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the header and the rows."""
     lines = parsing.lines_of(path / "frames.jsonl", limits)
     header = _header(path, lines[0][1] if lines else "")
 

@@ -1,16 +1,9 @@
 """ios_logger: `ARposes.txt`, `Frames.txt` and `Frames.m4v`.
 
-Documented at https://github.com/Varvrar/ios_logger (README, "Dataset format"). What matters:
-
-- times are seconds since 1970, on one clock in both text files;
-- `ARposes.txt`: time, x, y, z, qw, qx, qy, qz (w first), ARKit's camera to world, at ARKit's rate, which may be twice
-  that of the images;
-- `Frames.txt`: time, frame number, fx, fy, cx, cy, a row for each frame of `Frames.m4v` in their order;
-- `Accel.txt`: time, ax, ay, az as Core Motion has them;
-- `GPS.txt`: time, latitude, longitude and, of newer versions, horizontal accuracy, altitude, vertical accuracy, floor,
-  course, speed; accuracies below 0 where there is no position. It is read only where import is asked for GPS.
-
-`Head.txt` is never read.
+https://github.com/Varvrar/ios_logger (README, "Dataset format"). Times are seconds since 1970. Poses are ARKit's camera
+to world with quaternions w first, maybe at twice the images' rate; a row of `Frames.txt` is a frame of the video.
+`Accel.txt` is as Core Motion has it. `GPS.txt` has time, latitude, longitude and, of newer versions, horizontal
+accuracy, altitude, vertical accuracy and more; it's read only where import is asked for GPS, `Head.txt` never.
 """
 
 import math
@@ -25,7 +18,6 @@ from groundwalk.store.choices import Clock
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read poses and images and join them by time; images and video frames belong together by number."""
     poses, rejects = parsing.read_rows(parsing.lines_of(path / "ARposes.txt", limits), _read_pose)
     rows = parsing.lines_of(path / "Frames.txt", limits)
     video = path / "Frames.m4v"

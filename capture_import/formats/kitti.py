@@ -1,14 +1,10 @@
 """KITTI odometry: a sequence's `image_2/` (or `image_0/`) with `times.txt`, `calib.txt` and a file of poses.
 
-Documented at https://www.cvlibs.net/datasets/kitti/eval_odometry.php, and in the development kit. What matters:
-
-- poses: 12 numbers a row, a 3x4 matrix in row order, from the left grey camera (0) to where it was at the first image,
-  with OpenCV's camera axes; row n is of image n and of row n of `times.txt`, in seconds from the first;
-- they lie in `poses/<sequence>.txt` beside `sequences/`, or in `poses.txt` of the sequence, as evo's users have them;
-- `calib.txt` has `P0` to `P3`, 3x4: the pinhole of each camera's rectified images, times its place beside camera 0;
-- the world's axes are those of the first camera: up isn't known.
-
-The poses are a reference, not VIO.
+https://www.cvlibs.net/datasets/kitti/eval_odometry.php, and the development kit. A pose is a 3x4 matrix in row order,
+from the left grey camera (0) to where it was at the first image, with OpenCV's camera axes: a reference whose up isn't
+known. Row n is of image n and of row n of `times.txt`, in seconds. Poses lie in `poses/<sequence>.txt` beside
+`sequences/`, or in the sequence's `poses.txt`, as evo's users have them. `P0` to `P3` of `calib.txt` are the pinholes
+of the rectified images, times their place beside camera 0.
 """
 
 from pathlib import Path
@@ -18,7 +14,6 @@ import numpy as np
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import by_stem, images_in
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, PoseSource
@@ -32,17 +27,17 @@ def _poses_of(path: Path) -> Path:
 
 
 def detect(path: Path) -> bool:
-    """A sequence with poses: its own, or those of the data set."""
     names = [path / "calib.txt", path / "times.txt", _poses_of(path)]
     return all(name.is_file() for name in names) and any((path / folder).is_dir() for folder in _FOLDERS)
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the poses and join them to times and images by number."""
     folder = next(path / name for name in _FOLDERS if (path / name).is_dir())
     camera, cam0_T_cam = _camera(path / "calib.txt", f"P{folder.name[-1]}", limits)
     times = [line for _, line in parsing.lines_of(path / "times.txt", limits)]
-    image_of = {int(stem): image for stem, image in by_stem(images_in(folder)).items() if stem.isdecimal()}
+    image_of = {
+        int(stem): image for stem, image in parsing.by_stem(parsing.images_in(folder)).items() if stem.isdecimal()
+    }
 
     def read_row(place: int, line: str) -> RawFrame:
         if place >= len(times):

@@ -1,14 +1,9 @@
 """LLFF: `poses_bounds.npy` beside `images/` (or smaller copies of them, `images_4/`), with poses from SfM.
 
-Documented at https://github.com/Fyusion/LLFF#using-your-own-poses-without-running-colmap. What matters:
-
-- a row has 17 numbers: a 3x5 matrix in row order, and the nearest and farthest depth, which aren't read;
-- the matrix is camera to world, its camera axes are down, right and backward; its last column is the height, width and
-  focal length in pixels of the images in `images/`, whose principal point is their middle;
-- rows have no names: they are in the order of the images' names as text (`10.jpg` before `2.jpg`);
-- the lens's distortion isn't stated, nor the unit, nor where up is.
-
-The poses are a reference, not VIO.
+https://github.com/Fyusion/LLFF#using-your-own-poses-without-running-colmap. A row is a 3x5 matrix in row order, and two
+depths, which aren't read. The matrix is camera to world with camera axes down, right and backward: a reference without
+unit or up; its last column is height, width and focal length in pixels of the images in `images/`, whose principal
+point is their middle. Rows have no names: they are in the order of the images' names as text (`10.jpg` before `2.jpg`).
 """
 
 from pathlib import Path
@@ -20,7 +15,6 @@ from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import Intrinsics, Limits, Recording
 from groundwalk.capture_import.data_sets import read_reference
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import images_in, in_order
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store import UserError
 
@@ -31,7 +25,6 @@ _BROKEN = (ValueError, OSError, EOFError, SyntaxError, TokenError, TypeError, Ov
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the rows and join the images by their order."""
     file = path / _FILE
     try:
         # Mapped: a header may claim any number of rows.
@@ -43,7 +36,9 @@ def read(path: Path, limits: Limits) -> Recording:
         raise UserError(
             "a log can't be read", where=file, found=str(error).split("\n")[0][:200], expected=expected
         ) from None
-    count_of = {folder: images_in(folder) for folder in (path / "images", *in_order(path.glob("images_*/")))}
+    count_of = {
+        folder: parsing.images_in(folder) for folder in (path / "images", *parsing.in_order(path.glob("images_*/")))
+    }
     images = next((images for images in count_of.values() if len(images) == len(stored)), None)
     if images is None:
         raise UserError(

@@ -1,14 +1,8 @@
 """NeRFCapture: `transforms.json` with `images/<n>.png`.
 
-Documented by the app's source, https://github.com/jc211/NeRFCapture (DatasetWriter.swift, Manifest.swift). What
-matters:
-
-- each frame has `timestamp` (seconds since the phone was started), `transform_matrix` (4x4 in rows, ARKit's camera to
-  world, which is what NeRF tools call OpenGL axes), fl_x, fl_y, cx, cy, w, h of its own;
-- `file_path` has no suffix; the frames aren't always in the order of time, as they're written in parallel;
-- `depth_path` isn't read: versions differ in what they write there, and none is documented.
-
-A transforms.json without times has poses from SfM: that's the format `nerfstudio`.
+By the app's source, https://github.com/jc211/NeRFCapture. `timestamp` is in seconds since the phone was started,
+`transform_matrix` ARKit's camera to world, which is what NeRF tools call OpenGL axes. Frames aren't always in the order
+of time. `depth_path` isn't read: versions differ in what they write there. Without times it's format `nerfstudio`.
 """
 
 from pathlib import Path
@@ -23,12 +17,10 @@ from groundwalk.store.hints import setting_of
 
 
 def detect(path: Path) -> bool:
-    """A folder with images and a transforms.json that has a time in its first bytes."""
     return (path / "images").is_dir() and b'"timestamp"' in parsing.first_bytes(path / "transforms.json")
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the frames and put them in the order of time."""
     rows = parsing.json_of(path / "transforms.json", limits).get("frames")
     if not isinstance(rows, list) or not any(isinstance(row, dict) and "timestamp" in row for row in rows):
         raise UserError(

@@ -1,23 +1,17 @@
 """nerfstudio: `transforms.json` over images, with poses from SfM.
 
-Documented at https://docs.nerf.studio/quickstart/data_conventions.html. What matters:
+https://docs.nerf.studio/quickstart/data_conventions.html, and what other tools write:
 
-- `transform_matrix` is camera to world with OpenGL's camera axes (y up, z backward), which are ARKit's; where somebody
-  scaled the world with the whole matrix, its rotation is taken without that factor;
-- `applied_transform` (3x4), where there is one, took the poses from an earlier world to the file's; it's undone, so
-  that an export of ours comes back with +y up;
-- intrinsics are at the top or, going before these, each frame's own: fl_x, fl_y, cx, cy, w, h, and OpenCV's k1, k2, k3,
-  p1, p2, or a matrix `K`; `camera_model` is OPENCV, PINHOLE or OPENCV_FISHEYE with k1 to k4 (others are refused);
-- PINHOLE states that there is no distortion; zeros of OPENCV, which tools write of phones' images, too, state nothing;
-- nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
-- intrinsics that are missing: `camera_angle_x` gives the focal length, the middle of the image the principal point, the
-  image its size (instant-ngp's files and NeRF's synthetic scenes);
-- `test_filenames` say which images are for testing, or `transforms_test.json` beside `transforms_train.json` and
-  `transforms_val.json` (val trains);
-- where no image lies where its row says, those of the same names in another folder are meant;
-- frames have no times, and the order of names isn't one of time.
+- `transform_matrix` is camera to world with OpenGL's camera axes, which are ARKit's: a reference; where somebody scaled
+  the world with the whole matrix, its rotation is taken without that factor;
+- `applied_transform` (3x4) took the poses from an earlier world to the file's; it's undone;
+- intrinsics are at the top or, going before these, each frame's own, or a matrix `K`; `camera_angle_x` gives a missing
+  focal length (instant-ngp's files and NeRF's synthetic scenes). PINHOLE states that there is no distortion; zeros of
+  OPENCV, which tools write of phones' images, too, state nothing;
+- nothing says what the unit is, or where up, and frames have no times;
+- `test_filenames` say which images are for testing, or `transforms_test.json`; val trains.
 
-The poses are a reference, not VIO. Each folder of images in `images/` is a recording.
+Each folder of images in `images/` is a recording.
 """
 
 import contextlib
@@ -41,7 +35,6 @@ from groundwalk.capture_import.data_sets import (
     size_of,
 )
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import SUFFIXES, is_image
 from groundwalk.geometry.poses import Array, inverse, make_pose, rigidity_error
 from groundwalk.store import UserError
 from groundwalk.store.files import leads_outside
@@ -67,7 +60,8 @@ def _images_of(path: Path) -> Path | None:
 
 
 def _logs(path: Path) -> tuple[Path, ...]:
-    logs = [path / name for name in _FILES if _is_log(path / name)]
+    files = [path / name for name in _FILES]
+    logs = [file for file in files if file.is_file() and b'"timestamp"' not in parsing.first_bytes(file)]
     return tuple(logs[:1] if logs and logs[0].name == _FILES[0] else logs)
 
 
@@ -97,23 +91,16 @@ def _moved(data_set: Path, images: list[Path]) -> list[Path]:
 
 
 def missing(path: Path) -> str:
-    """What a folder with a transforms.json lacks: the images that it names."""
     logs = _logs(path)
     lost = _lost(logs, _written(logs)) if logs else []
     return lost_images([image.relative_to(path).as_posix() for image in lost]) if lost else ""
 
 
-def _is_log(file: Path) -> bool:
-    return file.is_file() and b'"timestamp"' not in parsing.first_bytes(file)
-
-
 def detect(path: Path) -> bool:
-    """A folder with a transforms.json that has no times, or one a split, or one of its folders of images."""
     return data_set_of(path, _images_of) is not None
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the frames of one recording."""
     data_set = data_set_of(path, _images_of) or path
     rows: list[tuple[str, Path, tuple[Array, dict[str, Any]]]] = []
     nameless: list[Reject] = []
@@ -176,9 +163,9 @@ def _image(data_set: Path, row: Any) -> Path:
 
 
 def _with_suffix(image: Path) -> Path:
-    if is_image(image):
+    if parsing.is_image(image):
         return image
-    names = [image.name + end for suffix in SUFFIXES for end in (suffix, suffix.upper())]
+    names = [image.name + end for suffix in parsing.SUFFIXES for end in (suffix, suffix.upper())]
     there = [image.with_name(name) for name in names if image.with_name(name).is_file()]
     return there[0] if there else image.with_name(image.name + ".png")
 

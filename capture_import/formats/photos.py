@@ -26,10 +26,9 @@ import PIL.Image
 from groundwalk.capture_import.capture import GpsFix, ImageFile, Intrinsics, Limits, RawFrame, Recording, Reject
 from groundwalk.capture_import.data_sets import GUESS_SD, guessed_intrinsics, images_alone
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import images_in
 from groundwalk.capture_import.media.images import BadImage, image_size
 from groundwalk.capture_import.media.video import is_video
-from groundwalk.capture_import.parsing import BadRow, read_fixes, read_rows, seconds_to_ns
+from groundwalk.capture_import.parsing import BadRow, images_in, read_fixes, read_rows, seconds_to_ns
 from groundwalk.store.choices import Clock
 from groundwalk.store.text import name_list
 
@@ -59,7 +58,6 @@ class _Photo(NamedTuple):
 
 
 def detect(path: Path) -> bool:
-    """Three images or more, in a folder or in its `images`, `input`, `frames` or `photos`."""
     return path.is_dir() and len(images_in(_images_folder(path))) >= _MIN_PHOTOS
 
 

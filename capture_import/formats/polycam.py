@@ -1,13 +1,8 @@
 """Polycam raw export: `keyframes/images/<t>.jpg` with `keyframes/cameras/<t>.json`.
 
-Documented at https://github.com/PolyCam/polyform (README, "Polycam's data format"). What matters:
-
-- a file's name is its time in microseconds;
-- `t_00` .. `t_23`: 3x4, row-major, ARKit's camera to world (y up, z backward);
-- `cameras` are the phone's poses; `corrected_cameras` are optimised afterwards and are no odometry: they aren't read;
-- `images` are as the camera took them, with the little distortion that is left in a phone's images;
-- `depth/<t>.png`: 16 bits, millimetres, of a lower resolution than the image; beyond 5 m it's a guess;
-  `confidence/<t>.png`: 0 (low), 127 (medium) or 255 (high).
+https://github.com/PolyCam/polyform (README, "Polycam's data format"). Names are times in microseconds; `t_00` to `t_23`
+are ARKit's camera to world, 3x4. `corrected_cameras` are optimised afterwards, no odometry, and aren't read. Depth
+beyond 5 m is a guess; confidence is 0, 127 or 255.
 """
 
 from pathlib import Path
@@ -15,15 +10,13 @@ from pathlib import Path
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import by_stem, images_in
 from groundwalk.store.choices import Clock
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the camera files in the order of their times and join images by name."""
     cameras = path / "keyframes" / "cameras"
     files = sorted((p for p in cameras.glob("*.json") if p.stem.isdecimal()), key=lambda p: int(p.stem))
-    image_of = by_stem(images_in(path / "keyframes" / "images"))
+    image_of = parsing.by_stem(parsing.images_in(path / "keyframes" / "images"))
 
     def read_row(_: int, file: Path) -> RawFrame:
         camera, image = parsing.parse_json(parsing.read_text(file)), image_of.get(file.stem)

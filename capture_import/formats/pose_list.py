@@ -16,7 +16,6 @@ from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, Raw
 from groundwalk.capture_import.data_sets import guessed_intrinsics, size_of
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.formats.tum import camera_beside
-from groundwalk.capture_import.image_files import by_stem, images_in
 from groundwalk.geometry.poses import Array
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, PoseSource
@@ -60,7 +59,7 @@ def _lists(folder: Path) -> Iterator[tuple[Path, str]]:
 
 
 def _images(folder: Path) -> list[Path]:
-    found = (images_in(folder / name) for name in _FOLDERS if (folder / name).is_dir())
+    found = (parsing.images_in(folder / name) for name in _FOLDERS if (folder / name).is_dir())
     return next((images for images in found if len(images) >= _MIN_IMAGES), [])
 
 
@@ -94,7 +93,7 @@ def read(path: Path, limits: Limits) -> Recording:
             expected="as many images as rows" + ", or images named by the list's times" * (kind == _TIME),
             found=f"{len(rows)} rows, {len(images)} images, such as {images[0].name}",
         )
-    image_of = {image.name: image for image in images} | by_stem(images)
+    image_of = {image.name: image for image in images} | parsing.by_stem(images)
 
     def read_row(place: int, line: str) -> RawFrame:
         if kind == _TIME:

@@ -1,19 +1,15 @@
 """Logs of poses without images: of use to study odometry.
 
-ARKit Data Logger, `ARKit_camera_pose.txt` (https://github.com/PyojinKim/ARKit-Data-Logger, README, "Output Format"):
-one row a pose, the time and a 3x4 matrix in row order, ARKit's camera to world (y up, z backward). Times are
-nanoseconds since the phone was started.
+ARKit Data Logger (https://github.com/PyojinKim/ARKit-Data-Logger, README, "Output Format"): time in nanoseconds since
+the phone was started, and ARKit's camera to world, 3x4.
 
-ARCore Data Logger, `ARCore_sensor_pose.txt` (https://github.com/PyojinKim/ARCore-Data-Logger, the app's source and
-files): one row a pose, the time in nanoseconds, a quaternion xyzw and a position. It's ARCore's pose of Android's
-sensor axes (x right, y up, z out of the screen, for the phone held in portrait) in a world whose +y is up; the axes
-are those of a camera that looks along -z. Where the user taps a tag, some versions add a row with the time of the row
-before and the tags (`TAG001 TAG002`) at its end. Its pose is the same or one of other axes, which nothing tells
-apart: such rows aren't read.
+ARCore Data Logger (https://github.com/PyojinKim/ARCore-Data-Logger, its source and files): time in nanoseconds, a
+quaternion xyzw and a position, ARCore's pose of Android's sensor axes (x right, y up, z out of the screen, for the
+phone held in portrait) in a world whose +y is up. Where the user taps a tag, some versions add a row with the time of
+the row before and the tags at its end, whose pose is the same or one of other axes: such rows aren't read.
 
-Walks recorded for "invisible maps" (https://github.com/occamLab/invisible-map-generation, its files): one JSON file;
-`pose_data` is a list of poses with `timestamp` (seconds since the phone was started) and `pose`, 16 numbers
-column-major, ARKit's camera to world. `location_data` holds coordinates of the earth and is never read.
+"Invisible maps" (https://github.com/occamLab/invisible-map-generation): `pose_data` of one JSON file has `timestamp`,
+seconds since the phone was started, and `pose`, column-major, ARKit's camera to world; `location_data` is never read.
 """
 
 import re
@@ -30,8 +26,6 @@ _TAGS = re.compile(r"(\s+TAG\d+)+\s*$")
 
 
 def read_arkit(path: Path, limits: Limits) -> Recording:
-    """Read the poses."""
-
     def read_row(_: int, line: str) -> RawFrame:
         time_ns, *matrix = parsing.split_numbers(line, 13)
         pose = parsing.from_arkit(parsing.row_major_pose(matrix))
@@ -42,7 +36,6 @@ def read_arkit(path: Path, limits: Limits) -> Recording:
 
 
 def read_arcore(path: Path, limits: Limits) -> Recording:
-    """Read the poses, without rows that only add a tag to the one before them."""
     lines = parsing.lines_of(path, limits)
     times = [line.split()[0] for _, line in lines]
     rows = [
@@ -64,12 +57,10 @@ def read_arcore(path: Path, limits: Limits) -> Recording:
 
 
 def is_invisible_map(path: Path) -> bool:
-    """A JSON file that has pose_data."""
     return path.suffix == ".json" and b'"pose_data"' in parsing.first_bytes(path, 64 << 20)
 
 
 def read_invisible_map(path: Path, limits: Limits) -> Recording:
-    """Read the poses."""
     rows = parsing.json_of(path, limits).get("pose_data")
     if not isinstance(rows, list):
         raise UserError("pose_data is no list", where=path, expected="objects with timestamp and pose")

@@ -1,15 +1,10 @@
 """Record3D: an `.r3d` archive (`metadata`, `rgbd/<n>.jpg`) or an exported folder (`metadata.json`, `rgb/<n>.jpg`).
 
-The app is at https://record3d.app; the format is described by its files, and at
-https://github.com/marek-simonik/record3d. What matters:
-
-- `poses`: one row a frame, qx qy qz qw tx ty tz, ARKit's camera to world (y up, z backward);
-- `K`: 9 numbers, column-major; `perFrameIntrinsicCoeffs`, where there is one, fx fy cx cy a frame, for `w` x `h`;
-- time is `frameTimestamps` in seconds where there is one, else the frame's number over `fps`;
-- images and poses belong together by number; exports are known where one has a few more than the other;
-- `rgbd/<n>.depth`: metres as float32, row by row, 192x256 (LiDAR) or 480x640 (Face ID) of an upright image, and
-  `rgbd/<n>.conf`: 0 to 2, both compressed by LZFSE (the author's answers in the repository's issues 7 and 93); an
-  exported folder has `depth/<n>.exr` instead, metres as float32 in the red channel, without confidence (issue 53).
+https://record3d.app; the format by its files and https://github.com/marek-simonik/record3d. Poses are ARKit's camera to
+world, quaternion first; `K` is column-major, `perFrameIntrinsicCoeffs` are fx fy cx cy. Images and poses belong
+together by number; some exports have a few more of one. `rgbd/<n>.depth` is in metres as float32, row by row, `.conf` 0
+to 2, both compressed by LZFSE (issues 7 and 93); a folder has `depth/<n>.exr`, metres as float32 in the red channel
+(issue 53).
 """
 
 from pathlib import Path
@@ -18,14 +13,12 @@ from typing import Any
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import by_stem, images_in
 from groundwalk.capture_import.media.depth import missing_decoder
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the poses and join them to images by number."""
     metadata = path / "metadata" if (path / "metadata").is_file() else path / "metadata.json"
     images = path / "rgbd" if (path / "rgbd").is_dir() else path / "rgb"
     content = parsing.json_of(metadata, limits)
@@ -33,7 +26,7 @@ def read(path: Path, limits: Limits) -> Recording:
     if not isinstance(poses, list):
         raise UserError("Record3D's metadata has no poses", where=metadata, expected="poses: a list")
     times = content.get("frameTimestamps")
-    files = {int(stem): image for stem, image in by_stem(images_in(images)).items() if stem.isdecimal()}
+    files = {int(stem): image for stem, image in parsing.by_stem(parsing.images_in(images)).items() if stem.isdecimal()}
     depths = [p for p in (*images.glob("*.depth"), *(path / "depth").glob("*.exr")) if p.stem.isdecimal()]
     missing = missing_decoder(depths[0]) if depths else None
     depth_of = {} if missing else {int(p.stem): DepthFile.if_there(p, p.with_suffix(".conf")) for p in depths}

@@ -1,14 +1,8 @@
 """RTAB-Map's export (the iOS app's among them): `<name>_camera_poses.txt` with `<name>_rgb/` and `<name>_calib/`.
 
-Documented by the tool's source, https://github.com/introlab/rtabmap (`rtabmap-export --images --poses_camera`). What
-matters:
-
-- poses: time, x y z, qx qy qz qw and the image's number, camera to world with OpenCV's camera axes; the map that they
-  lie in is optimised by loops: a reference, not VIO; its +z is up, but exports are also known with +y up, so up is
-  unknown;
-- images have their number for a name, `<name>_calib/<number>.yaml` is OpenCV's: camera_matrix, image_width and
-  distortion_coefficients;
-- `<name>_depth/` isn't read: it is in millimetres, but of another size and its own camera.
+By the tool's source, https://github.com/introlab/rtabmap (`rtabmap-export --images --poses_camera`). Poses are camera
+to world with OpenCV's camera axes, in a map that loops optimised: a reference. Its +z is up, but exports are also known
+with +y up, so up is unknown. Images have their number for a name. `<name>_depth/` isn't read: it's of its own camera.
 """
 
 from pathlib import Path
@@ -16,17 +10,15 @@ from pathlib import Path
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import by_stem, images_in, in_order
 from groundwalk.store.choices import Clock, PoseSource
 
 _POSES = "_camera_poses.txt"
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the poses and join images and cameras by number."""
-    poses = in_order(path.glob(f"*{_POSES}"))[0]
+    poses = parsing.in_order(path.glob(f"*{_POSES}"))[0]
     name = poses.name.removesuffix(_POSES)
-    image_of = by_stem(images_in(path / f"{name}_rgb"))
+    image_of = parsing.by_stem(parsing.images_in(path / f"{name}_rgb"))
 
     def read_row(_: int, line: str) -> RawFrame:
         time_s, x, y, z, qx, qy, qz, qw, number = parsing.split_numbers(line, 9)

@@ -1,15 +1,9 @@
 """ScanCapture, LaMAR's recorder: `poses.txt` with `images.mp4`.
 
-Documented at https://github.com/microsoft/lamar-benchmark/tree/main/apps/ScanCapture_iOS (README, "Data format").
-What matters:
-
-- all times are whole microseconds since the phone was started;
-- `poses.txt`, comma-separated: timestamp, status, tx, ty, tz, qx, qy, qz, qw, w, h, fx, fy, cx, cy and, in newer
-  versions, exposure in microseconds; ARKit's camera to world (y up, z backward);
-- a row is written for every ARKit frame, an image at the chosen rate: they're joined by time. Video times are those of
-  the rows, or count from the first image where the container stores them so; the first row is the first image's then.
-
-`location.txt` and `bluetooth.txt` are never read.
+https://github.com/microsoft/lamar-benchmark/tree/main/apps/ScanCapture_iOS (README, "Data format"). Times are whole
+microseconds since the phone was started; poses are ARKit's camera to world. A row is written for every ARKit frame, an
+image at the chosen rate: they're joined by time. Video times are those of the rows, or count from the first image,
+which is the first row's. `location.txt` and `bluetooth.txt` are never read.
 """
 
 from pathlib import Path
@@ -26,7 +20,6 @@ _TRACKING = {"normal": Tracking.NORMAL, "limited": Tracking.LIMITED, "not": Trac
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the rows and join them to the video's frames by time."""
     frames, rejects = parsing.read_rows(parsing.lines_of(path / "poses.txt", limits), _read_row)
     if frames:
         video = path / "images.mp4"

@@ -1,18 +1,9 @@
 """3D Scanner App (Laan Labs), export "All Data": one `frame_XXXXX.json` a pose, one JPEG for some of them.
 
-Documented by the app's maker at https://3dscannerapp.com (export "All Data") and by files from versions 1.9.5 and
-1.9.7. What matters:
-
-- `cameraPoseARFrame`: 16 numbers, row-major, ARKit's camera.transform (camera to world, camera y up and z backward);
-- `intrinsics`: 9 numbers, row-major, for the full image and different in each frame, as autofocus moves;
-- `projectionMatrix`: OpenGL's, row-major; with the intrinsics it gives the image size that both are for;
-- `time`: seconds since the phone was started; `exposureDuration`: seconds;
-- poses without a JPEG are sound poses of the odometry between the images;
-- `depth_XXXXX.png`, on phones with LiDAR: 16 bits, millimetres, 256x192 for the whole image; `conf_XXXXX.png`:
-  ARKit's confidence, 0 (low) to 2 (high). Both by the files of version 1.9.5; its maker documents neither.
-
-`latitude` and `longitude` may be in `info.json` and the frames, without an accuracy; the frames' are read only where
-import is asked for GPS.
+https://3dscannerapp.com, and files from versions 1.9.5 and 1.9.7. `cameraPoseARFrame` is ARKit's camera to world in row
+order, `intrinsics` are for the full image, whose size follows from them and the `projectionMatrix` (OpenGL's). Depth is
+256x192 for the whole image, in millimetres, `conf_XXXXX.png` ARKit's confidence, 0 to 2; its maker documents neither.
+Latitude and longitude in the frames, without an accuracy, are read only where import is asked for GPS.
 """
 
 import re
@@ -31,17 +22,15 @@ from groundwalk.capture_import.capture import (
     Reject,
 )
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import by_stem, images_in
 from groundwalk.store.choices import Clock
 
 _FRAME = re.compile(r"frame_(\d{1,9})\.json")
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the JSON files of one recording; those that can't be read become rejects."""
     numbered = sorted((int(m[1]), p) for p in path.iterdir() if (m := _FRAME.fullmatch(p.name)))
     files = dict(reversed(numbered))
-    image_of = by_stem(images_in(path))
+    image_of = parsing.by_stem(parsing.images_in(path))
 
     def read_frame(_: int, numbered_file: tuple[int, Path]) -> RawFrame:
         number, file = numbered_file

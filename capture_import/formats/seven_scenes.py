@@ -1,16 +1,9 @@
 """7-Scenes (Microsoft): `seq-XX/frame-000000.color.png` with `frame-000000.pose.txt`.
 
-Documented at https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes. What matters:
-
-- a pose is a 4x4 matrix, camera to world, with OpenCV's camera axes; it comes from KinectFusion: a reference, not VIO,
-  and nothing says where up is;
-- frames have no times; the camera took 30 a second (of an export of ours, which numbers its frames anew, nothing is
-  known);
-- the colour camera wasn't calibrated; its nominal focal length is 525 px with the centre in the middle; where
-  `frame-000000.intrinsics.txt` lies beside (a 3x3 matrix; our own export writes it, of images without distortion), that
-  is used;
-- `frame-000000.depth.png` is the depth camera's, some centimetres beside the colour camera: it isn't read;
-- `TrainSplit.txt` and `TestSplit.txt` beside the sequences say which is for what.
+https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes. Poses are camera to world with OpenCV's camera
+axes, by KinectFusion: a reference, and nothing says where up is. Frames have no times; the camera took 30 a second (our
+own exports number frames anew). The colour camera wasn't calibrated: its nominal focal length is used, or
+`frame-000000.intrinsics.txt`, which our own exports write. Depth is of another camera, and isn't read.
 """
 
 import re
@@ -20,7 +13,6 @@ from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.data_sets import NO_DISTORTION, export_world
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import by_stem, images_in
 from groundwalk.store.choices import Clock, PoseSource, SessionSplit
 
 _POSE = re.compile(r"frame-(\d{6})\.pose\.txt")
@@ -29,9 +21,8 @@ _CAMERA = Intrinsics(525.0, 525.0, 320.0, 240.0, 640, 480)
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the poses and join the colour images by number."""
     files = sorted((int(m[1]), p) for p in path.iterdir() if (m := _POSE.fullmatch(p.name)))
-    image_of = by_stem(images_in(path))
+    image_of = parsing.by_stem(parsing.images_in(path))
     ours = bool(export_world(path.parent))
 
     def read_row(_: int, numbered_file: tuple[int, Path]) -> RawFrame:

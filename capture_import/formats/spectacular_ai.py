@@ -1,13 +1,8 @@
 """Spectacular AI recordings: `output.jsonl` with poses, and `data.jsonl` with `data.mp4` where images were kept.
 
-Documented at https://spectacularai.github.io/docs/sdk and by files of the SDK's examples. What matters:
-
-- JSON objects a line; `time` in seconds;
-- `output.jsonl`: `position` and `orientation` (x, y, z, w) take the device's axes to a world whose +z is up;
-  `status` is the odometry's state;
-- `data.jsonl`: rows with `frames` say when the video's frames were taken and with which camera parameters, in order;
-- `calibration.json`: `imuToCamera` takes device axes to OpenCV camera axes. Without it a pose can't be the camera's:
-  the poses are then of the device, and images aren't used.
+https://spectacularai.github.io/docs/sdk, and files of its examples. Poses take the device's axes to a world whose +z is
+up; `imuToCamera` of `calibration.json` takes them to OpenCV camera axes. Without it poses are the device's, and images
+aren't used. Rows of `data.jsonl` with `frames` are the video's, in order.
 """
 
 from pathlib import Path
@@ -27,7 +22,6 @@ _CAMERA = ("focalLengthX", "focalLengthY", "principalPointX", "principalPointY")
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the poses, and the video's frames where they can be used."""
     calibration = path / "calibration.json"
     device_T_cam = _device_T_cam(calibration, limits) if calibration.is_file() else None
 

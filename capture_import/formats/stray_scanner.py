@@ -1,14 +1,9 @@
 """Stray Scanner (Stray Robots): `rgb.mp4` with one row of `odometry.csv` a frame.
 
-Documented at https://github.com/StrayRobots/scanner/blob/main/docs/format.md. What matters:
-
-- `odometry.csv` has a header; `timestamp` in seconds since the phone was started, position in metres, quaternion xyzw;
-- camera axes are OpenCV's already (the app turns ARKit's by half a turn about x), the world is ARKit's;
-- video and rows belong together by number; the video's own clock starts a frame early, so it only checks the join;
-- the older generation has one `camera_matrix.csv`, which is the last frame's; the newer logs fx, fy, cx, cy a row;
-- `depth/XXXXXX.png`: 16 bits, millimetres, 256x192; `confidence/XXXXXX.png`: 0, 1 or 2, higher is surer; both by the
-  frame's number. The first generation's depth, `.npy` files, isn't read;
-- `imu.csv`: `timestamp` on the same clock, and `a_x, a_y, a_z` as Core Motion has them.
+https://github.com/StrayRobots/scanner/blob/main/docs/format.md. Times are seconds since the phone was started; camera
+axes are OpenCV's already, the world is ARKit's. Video and rows belong together by number; the video's own clock starts
+a frame early, so it only checks the join. The older generation has one `camera_matrix.csv`, the last frame's, and depth
+as `.npy`, which isn't read; the newer logs intrinsics a row. `imu.csv` has accelerations as Core Motion has them.
 """
 
 import csv
@@ -26,7 +21,6 @@ _PER_FRAME = ("fx", "fy", "cx", "cy")
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read the rows and join them to the video's frames by number."""
     video = path / "rgb.mp4"
     header, *rows = parsing.lines_of(path / "odometry.csv", limits) or [("odometry.csv", "")]
     names = [name.strip() for name in header[1].split(",")]

@@ -1,14 +1,9 @@
-"""TUM RGB-D's lists: `rgb.txt` and `groundtruth.txt`, with `depth.txt` where there is depth.
+"""TUM RGB-D's lists: `rgb.txt` and `groundtruth.txt`.
 
-Documented at https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats. What matters:
-
-- `rgb.txt` and `depth.txt`: time in seconds and a path; `groundtruth.txt`: time, tx ty tz, qx qy qz qw, camera to
-  world with OpenCV's camera axes; the three have times of their own and are joined by them;
-- poses come from motion capture, or from whatever tool wrote the list: a reference, not VIO, and nothing says where up
-  is;
-- depth is 16 bits with 5000 a metre, and belongs to an image by its time: it isn't read;
-- no intrinsics are in it: `camera.txt` beside, which isn't part of the format, may have fx fy cx cy (and k1 k2 p1 p2
-  k3); without it import finds the focal length by the poses and the images.
+https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats. Poses are camera to world with OpenCV's camera axes, by
+motion capture or whatever tool wrote the list: a reference, and nothing says where up is. `camera.txt` beside, which
+isn't part of the format, may have fx fy cx cy (and k1 k2 p1 p2 k3); without it import finds the focal length. Depth
+(5000 a metre, with times of its own) isn't read.
 """
 
 from pathlib import Path
@@ -22,7 +17,6 @@ from groundwalk.store.choices import Clock, PoseSource
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    """Read both lists; poses are interpolated where an image lies between two rows."""
     poses, rejects = parsing.read_rows(parsing.lines_of(path / "groundtruth.txt", limits), _read_pose)
     camera = camera_beside(path)
 

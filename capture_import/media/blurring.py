@@ -20,8 +20,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.media.images import shrunk
-from groundwalk.capture_import.media.upright import turned_pixels
+from groundwalk.capture_import.media.images import shrunk, turned_pixels
 from groundwalk.capture_import.parsing import BadRow, number, read_text
 from groundwalk.store import UserError
 from groundwalk.store.hints import setting_of

@@ -94,7 +94,11 @@ def _decode(
             raise BadImage(f"can't be decoded: {missing}")
         if file.suffix == ".conf":
             return _of_lzfse(data, dtype, size)
-        return _millimetres(_of_exr(data) if file.suffix == ".exr" else _of_lzfse(data, np.dtype("<f4"), size))
+        metres = _of_exr(data) if file.suffix == ".exr" else _of_lzfse(data, np.dtype("<f4"), size)
+        with np.errstate(invalid="ignore", over="ignore"):
+            rounded = np.round(1000 * metres.astype(np.float64))
+        # 0 where there is no depth, or more than 16 bits hold.
+        return np.where((rounded > 0) & (rounded <= _MAX_MM), rounded, 0).astype(np.uint16)
     image_size(data, max_megapixels)
     pixels = decoded(data, cv2.IMREAD_UNCHANGED)
     if pixels.dtype != dtype or pixels.ndim != 2:
@@ -140,10 +144,3 @@ def _of_exr(data: bytes) -> NDArray[Any]:
     if pixels.dtype != np.float32:
         raise BadImage(f"has {8 * pixels.itemsize} bits, not 32")
     return np.asarray(pixels if pixels.ndim == 2 else pixels[..., _RED])
-
-
-def _millimetres(metres: NDArray[Any]) -> NDArray[np.uint16]:
-    """Millimetres; 0 where there is no depth, or more than 16 bits hold."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        rounded = np.round(1000 * metres.astype(np.float64))
-    return np.where((rounded > 0) & (rounded <= _MAX_MM), rounded, 0).astype(np.uint16)

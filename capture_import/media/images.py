@@ -15,7 +15,8 @@ import PIL.Image
 import simplejpeg
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import ImageCheck
+from groundwalk.capture_import.capture import ImageCheck, Session, poses_of
+from groundwalk.geometry.gravity import gravity_in_camera
 from groundwalk.store.images import JPEG_SIGNATURE, PNG_SIGNATURE, without_metadata
 
 pi_heif.register_heif_opener()
@@ -125,7 +126,6 @@ def _decode(data: bytes, colours: str, long_side: int) -> Any:
 
 
 def encode_jpeg(rgb: NDArray[np.uint8], quality: int = 95) -> bytes:
-    """An image (H, W, 3) as JPEG."""
     return bytes(simplejpeg.encode_jpeg(np.ascontiguousarray(rgb), quality=quality, colorsubsampling="420"))
 
 
@@ -179,3 +179,18 @@ def shrunk(image: Any, long_side: int) -> Any:
         image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
     # Down to half the size every pixel still counts in a linear interpolation, which is the faster one.
     return image if image.shape[1::-1] == size else cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
+
+
+def quarters_to_upright(session: Session) -> int:
+    """How many quarter turns clockwise (0 to 3) put gravity down in most of a session's images. One answer a session;
+    0 where up is unknown."""
+    if not session.recording.is_gravity_aligned or not session.images:
+        return 0
+    x, y, _ = gravity_in_camera(poses_of(session.images)).sum(axis=0)
+    # What was right is down after a turn clockwise, what was down left.
+    return int(np.argmax([y, x, -y, -x]))
+
+
+def turned_pixels(image: NDArray[np.uint8], quarters: int) -> NDArray[np.uint8]:
+    """An image (H, W) or (H, W, 3) turned by quarters clockwise."""
+    return np.ascontiguousarray(np.rot90(image, -quarters))

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import Image, ImageFile, VideoFrame
 from groundwalk.capture_import.media.blurring import Blurring, Region, blurred
-from groundwalk.capture_import.media.images import decode_rgb, encode_jpeg, is_heic
+from groundwalk.capture_import.media.images import decode_rgb, encode_jpeg, is_heic, turned_pixels
 from groundwalk.capture_import.media.reading import ImageReader, video_of
-from groundwalk.capture_import.media.upright import turned_pixels
 from groundwalk.capture_import.media.video import decode, rgb_pixels
 from groundwalk.store.images import without_metadata
 from groundwalk.store.parallel import in_parallel

@@ -22,8 +22,8 @@ from groundwalk.capture_import.media.images import (
     decode_rgb,
     measured,
     shrunk,
+    turned_pixels,
 )
-from groundwalk.capture_import.media.upright import turned_pixels
 from groundwalk.capture_import.media.video import decode, gray_pixels, rgb_pixels
 from groundwalk.store.parallel import in_parallel
 
@@ -47,9 +47,7 @@ class ImageReader:
     def check(self, frames: Sequence[RawFrame]) -> Iterator[ImageCheck | str]:
         """For each frame, in order: what was measured of its image, or why it can't be used. Files are decoded on all
         cores and a video in one go, so that memory holds a few images at once."""
-        if video_of(frames):
-            return self._check_video(frames)
-        return in_parallel(self._check_file, frames)
+        return self._check_video(frames) if video_of(frames) else in_parallel(self._check_file, frames)
 
     def gray(self, frames: Sequence[Frame], long_side: int) -> Iterator[tuple[Frame, Gray]]:
         """Frames that have passed the check, in order, each with its image (H, W) scaled down to the long side. A

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -95,10 +96,11 @@ def write_int8(fp32: Path, out: Path, calibration: Tensors, held_out: HeldOut) -
             """The network with these groups in float32, made and measured."""
             file = files[in_float32] = Path(name) / f"int8-{len(files)}.onnx"
             excluded = [*never, *(node for group in in_float32 for node in groups[group])]
+            inputs = iter([{"image": tensor} for tensor in calibration])
             quantize_static(
                 prepared,
                 file,
-                _Reader(calibration),
+                SimpleNamespace(get_next=lambda: next(inputs, None)),
                 quant_format=QuantFormat.QDQ,
                 op_types_to_quantize=[*_WITH_WEIGHTS, *_BETWEEN],
                 per_channel=True,
@@ -220,14 +222,3 @@ def _store_in_int8(file: Path, nodes: Sequence[str]) -> None:
         graph.node.insert(list(graph.node).index(node), made)
         node.input[1] = f"{name} float32"
     onnx.save(model, file)
-
-
-class _Reader:
-    """Calibration data as ONNX Runtime asks for it."""
-
-    def __init__(self, tensors: Tensors) -> None:
-        self.rest = iter(tensors)
-
-    def get_next(self) -> dict[str, Any] | None:
-        tensor = next(self.rest, None)
-        return None if tensor is None else {"image": tensor}

@@ -22,6 +22,7 @@ from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.database import Ints, create_database, image_id
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import CameraOrigin
+from groundwalk.store.files import written_aside
 
 # k1 and k2 of phones' main cameras (docs/explanation/sfm.md, Cameras), in OpenCV's convention, and their covariance.
 PHONE_K1_K2 = np.array([0.08, -0.12])
@@ -41,9 +42,8 @@ _MAX_FOCAL_STEP = 0.08
 @dataclass(frozen=True)
 class LensPrior:
     """What is known of a lens: its frames' device, size and focal length, how many there are, coefficients (OpenCV's
-    order, 8) and readout time, which mapping starts from, with their covariance (3, 3) of k1, k2 and readout, and
-    the sd of k3; where they are from; and k1 and k2 and the readout time that the capture states, 0 and None for none.
-    """
+    order, 8) and readout time, which mapping starts from, with their covariance (3, 3) of k1, k2 and readout, and the
+    sd of k3; where they are from; and k1 and k2 and the readout time that the capture states, 0 and None for none."""
 
     lens_id: str
     frames: int
@@ -176,19 +176,17 @@ def write_lens_database(
     source: Path, target: Path, frames: pd.DataFrame, names: Sequence[str], lenses: SceneLenses, motion: Motion
 ) -> None:
     """Write the database `target`: features of `source`, keypoints at the middle row's time, cameras with lenses."""
-    partial = target.with_name(target.name + ".partial")
-    partial.unlink(missing_ok=True)
-    create_database(partial, frames, names)
     readout, line = lenses.readout_s[lenses.lens], lines_of(frames)
-    with (
-        pycolmap.Database.open(source) as features,
-        pycolmap.Database.open(partial) as opened,
-        pycolmap.DatabaseTransaction(opened),
-    ):
-        for row, frame in enumerate(frames.itertuples(index=False)):
-            keypoints = features.read_keypoints(image_id(row))
-            xy, angular = keypoints[:, :2].astype(float), motion.angular[row]
-            keypoints[:, :2] = to_middle_row(xy, frame, line[row], float(readout[row]), angular)
-            opened.write_keypoints(image_id(row), keypoints)
-            opened.write_descriptors(image_id(row), features.read_descriptors(image_id(row)))
-    partial.replace(target)
+    with written_aside(target) as partial:
+        create_database(partial, frames, names)
+        with (
+            pycolmap.Database.open(source) as features,
+            pycolmap.Database.open(partial) as opened,
+            pycolmap.DatabaseTransaction(opened),
+        ):
+            for row, frame in enumerate(frames.itertuples(index=False)):
+                keypoints = features.read_keypoints(image_id(row))
+                xy, angular = keypoints[:, :2].astype(float), motion.angular[row]
+                keypoints[:, :2] = to_middle_row(xy, frame, line[row], float(readout[row]), angular)
+                opened.write_keypoints(image_id(row), keypoints)
+                opened.write_descriptors(image_id(row), features.read_descriptors(image_id(row)))

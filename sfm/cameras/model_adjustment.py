@@ -36,8 +36,7 @@ from groundwalk.sfm.cameras.lenses import (
     lines_of,
     prior_lenses,
 )
-from groundwalk.sfm.cameras.motion import Motion, motion_by_vio
-from groundwalk.sfm.cameras.time_offset import offset_of_frames
+from groundwalk.sfm.cameras.motion import Motion, motion_by_vio, offset_of_frames
 from groundwalk.sfm.database import Ints, image_id, pose_of
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import CameraOrigin
@@ -87,7 +86,7 @@ class CameraLog:
     held_velocity: Array | None = None
 
     def at_middle_rows(self, model: pycolmap.Reconstruction) -> "CameraLog":
-        """The same with the motion at the times of middle rows, where a model's frames tell them (`time_offset`)."""
+        """The same with the motion at the times of middle rows, where a model's frames tell them."""
         registered = np.array(sorted(model.reg_image_ids()), np.int64) - 1
         offset_s = np.zeros(len(self.t_s))
         for lens in np.unique(self.lenses.lens[registered]).tolist():

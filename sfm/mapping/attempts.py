@@ -48,7 +48,6 @@ class Attempt:
 
     @property
     def mapping_input(self) -> Path:
-        """The database that was mapped."""
         return self.folder.with_suffix(".db")
 
     @property

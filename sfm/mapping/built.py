@@ -41,7 +41,6 @@ class BuiltModel:
 
 
 def write_built(folder: Path, built: Sequence[BuiltModel]) -> None:
-    """Write what `read_built` reads."""
     (folder / _FILE).write_text(json.dumps([asdict(one) for one in built]), encoding="utf-8")
 
 

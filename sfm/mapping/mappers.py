@@ -19,7 +19,9 @@ _ROUNDS_PX = (16.0, 8.0, 4.0)
 _MIN_OBSERVATIONS = 30
 
 
-def incremental(source: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
+def incremental_mapping(
+    source: MappingInput, folder: Path, registered: Callable[[], None]
+) -> list[pycolmap.Reconstruction]:
     """COLMAP's incremental mapping (Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016)."""
     options = pipeline_options(source)
     # Where people hardly walked, no first pair is exact, as its rays meet at small angles: then COLMAP's own limit.
@@ -86,14 +88,13 @@ def from_poses(source: MappingInput, start_T_cam: Array, folder: Path) -> pycolm
     return model
 
 
-def global_(source: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
+def global_mapping(source: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
     """COLMAP's global mapping (Pan et al., "Global structure-from-motion revisited", GLOMAP, ECCV 2024)."""
     options = pycolmap.GlobalPipelineOptions()
     options.num_threads = options.mapper.num_threads = 1
-    options.random_seed = options.mapper.random_seed = source.seed
-    options.mapper.rotation_averaging.random_seed = source.seed
-    options.mapper.global_positioning.random_seed = source.seed
-    options.mapper.retriangulation.random_seed = source.seed
+    mapper = options.mapper
+    for part in (options, mapper, mapper.rotation_averaging, mapper.global_positioning, mapper.retriangulation):
+        part.random_seed = source.seed
     options.mapper.global_positioning.use_gpu = False
     adjustment = options.mapper.bundle_adjustment
     adjustment.ceres.use_gpu = False
@@ -103,7 +104,9 @@ def global_(source: MappingInput, folder: Path, registered: Callable[[], None]) 
     return _listed(pycolmap.global_mapping(source.database, source.images, folder, options))
 
 
-def hierarchical(source: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
+def hierarchical_mapping(
+    source: MappingInput, folder: Path, registered: Callable[[], None]
+) -> list[pycolmap.Reconstruction]:
     """COLMAP's hierarchical mapping: clusters of images mapped incrementally, then merged."""
     options = pycolmap.HierarchicalPipelineOptions()
     options.num_threads = options.num_workers = 1
@@ -115,11 +118,8 @@ def hierarchical(source: MappingInput, folder: Path, registered: Callable[[], No
 def pipeline_options(source: MappingInput) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions()
     # On several threads two runs may differ in the last bits, and then in which points they keep; one thread repeats.
-    options.num_threads = 1
-    options.mapper.num_threads = 1
-    options.random_seed = source.seed
-    options.mapper.random_seed = source.seed
-    options.triangulation.random_seed = source.seed
+    options.num_threads = options.mapper.num_threads = 1
+    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = source.seed
     options.min_model_size = MIN_MODEL_FRAMES
     options.extract_colors = False
     # A fraction of the time of COLMAP's own steps, poses as good; the whole is adjusted at the end.

@@ -57,7 +57,8 @@ def check_stated(
     those that are wrong are to be estimated, unless settings hold them. Raises LinAlgError where its images don't
     determine the model."""
     rows = np.array(sorted(set(model.reg_frame_ids()) - held.frames), np.int64) - 1
-    stated = [k for k in np.unique(log.lenses.lens[rows]).tolist() if _is_stated(log.lenses.priors[k])]
+    lenses = {k: log.lenses.priors[k] for k in np.unique(log.lenses.lens[rows]).tolist()}
+    stated = [k for k, of in lenses.items() if of.origin == CameraOrigin.STATED or of.stated_readout_s is not None]
     if not stated or settings.refine_cameras == "never":
         return log, []
     weak = log.with_priors(
@@ -99,10 +100,6 @@ def check_stated(
             is_undecided=check.distortion_is_undecided,
         )
     return log.with_priors(decided), checks
-
-
-def _is_stated(prior: LensPrior) -> bool:
-    return prior.origin == CameraOrigin.STATED or prior.stated_readout_s is not None
 
 
 def _weakened(prior: LensPrior, *, distortion: bool, readout: bool) -> LensPrior:

@@ -1,16 +1,22 @@
-"""The pairs of a scene that are worth matching, by settings: from time, VIO and image retrieval."""
+"""The pairs of a scene that are worth matching, by settings: from time, VIO and image retrieval.
 
+Images are similar by VLAD (Jégou et al., "Aggregating local descriptors into a compact image representation", CVPR
+2010) with the normalisation of each word (Arandjelović and Zisserman, "All about VLAD", CVPR 2013) over words learned
+from the scene's own features.
+"""
+
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from groundwalk.geometry.vlad import aggregate, k_means
 from groundwalk.sfm.database import read_descriptors
 from groundwalk.sfm.pairs import candidates
-from groundwalk.sfm.pairs.candidates import Pairs
+from groundwalk.sfm.pairs.candidates import Pairs, unique_pairs
 from groundwalk.sfm.pairs.odometry import Odometry, drift_between
-from groundwalk.sfm.pairs.retrieval import retrieval_pairs, vlad
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import PairOrigin
 from groundwalk.store.tables import have_times
@@ -24,6 +30,9 @@ _MAX_ANGLE_DEG = 60.0
 _FARTHER_STEPS = (8, 16, 32)
 # Of as many frames without VIO all pairs are matched, some 20,000.
 _MAX_EXHAUSTIVE = 200
+
+_WORDS, _SAMPLES_PER_WORD = 64, 400
+_ROWS_AT_ONCE = 512
 
 
 def pairs_within_sessions(settings: SfmSettings, frames: pd.DataFrame, vio: Odometry) -> Proposals:
@@ -85,3 +94,40 @@ def _may_overlap(settings: SfmSettings, vio: Odometry, pairs: Pairs) -> NDArray[
     drift_m, drift_rad = drift_between(vio, pairs)
     max_m, max_deg = settings.vio_max_distance_m + drift_m, _MAX_ANGLE_DEG + np.degrees(drift_rad)
     return candidates.within_vio_limits(pairs, vio.session, vio.vio_T_cam, max_m, max_deg)
+
+
+def vlad(descriptors: Sequence[NDArray[np.uint8]], seed: int) -> NDArray[np.float32]:
+    """Unit image descriptors (N, words * D) of N images, each with local descriptors (M, D); zero where M is 0, which
+    it isn't of all."""
+    rng = np.random.default_rng(seed)
+    everything = np.concatenate([d for d in descriptors if len(d)])
+    sample = np.sort(rng.permutation(len(everything))[: _WORDS * _SAMPLES_PER_WORD])
+    centres = k_means(_unit(everything[sample]), _WORDS, rng)
+    nothing = np.zeros(centres.size, np.float32)
+    return np.stack([aggregate(_unit(d), centres) if len(d) else nothing for d in descriptors])
+
+
+def retrieval_pairs(
+    image_ND: NDArray[np.float32], session_N: ArrayLike, per_frame: int, within: Pairs | None = None
+) -> Pairs:
+    """Each frame with the `per_frame` most similar frames of other sessions; or of its own, without the pairs `within`
+    that are proposed there anyhow."""
+    session_N = np.asarray(session_N)
+    known = np.empty((2, 0), np.int64) if within is None else np.concatenate([within, within[:, ::-1]]).T
+    proposed = [np.empty((0, 2), np.int64)]
+    for start in range(0, len(image_ND), _ROWS_AT_ONCE):
+        rows = np.arange(start, min(start + _ROWS_AT_ONCE, len(image_ND)))
+        similarity = image_ND[rows] @ image_ND.T
+        similarity[(session_N[rows, None] == session_N[None]) != (within is not None)] = -np.inf
+        similarity[np.arange(len(rows)), rows] = -np.inf
+        a, b = known[:, (known[0] >= start) & (known[0] <= rows[-1])]
+        similarity[a - start, b] = -np.inf
+        best = np.argsort(-similarity, axis=1, kind="stable")[:, :per_frame]
+        is_other = np.isfinite(np.take_along_axis(similarity, best, axis=1))
+        proposed.append(np.stack([np.broadcast_to(rows[:, None], best.shape)[is_other], best[is_other]], axis=1))
+    return unique_pairs(np.concatenate(proposed))
+
+
+def _unit(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
+    floats = descriptors.astype(np.float32)
+    return floats / np.maximum(np.linalg.norm(floats, axis=1, keepdims=True), 1e-12)

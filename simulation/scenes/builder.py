@@ -33,22 +33,23 @@ class Builder:
         texel: float = 1.0,
         glass: bool = False,
     ) -> None:
-        """One rectangle."""
         at, along, tall = (np.array(v, float) for v in (corner, right, up))
         self.place.quads.append(Quad(name, at, along, tall, paint, texel, glass))
 
     def wall(
-        self, name: str, left: Xz, right: Xz, bottom: float, top: float, paint: Material, texel: float = 1.0
+        self,
+        name: str,
+        left: Xz,
+        right: Xz,
+        bottom: float,
+        top: float,
+        paint: Material,
+        texel: float = 1.0,
+        glass: bool = False,
     ) -> None:
         """An upright rectangle between two points of the plan, named as one sees them."""
-        self.quad(
-            name,
-            (left[0], bottom, left[1]),
-            (right[0] - left[0], 0, right[1] - left[1]),
-            (0, top - bottom, 0),
-            paint,
-            texel,
-        )
+        corner, along = (left[0], bottom, left[1]), (right[0] - left[0], 0, right[1] - left[1])
+        self.quad(name, corner, along, (0, top - bottom, 0), paint, texel, glass)
 
     def floor(self, name: str, low: Xz, high: Xz, y: float, paint: Material, texel: float = 1.0) -> None:
         """A level rectangle seen from above, x to the right and -z up in its picture."""
@@ -107,7 +108,6 @@ class Builder:
     def column(
         self, name: str, centre: Xz, radius: float, height: float, paint: Material, bottom: float = 0.0, sides: int = 10
     ) -> None:
-        """An upright prism with many sides."""
         angle = 2 * math.pi * np.arange(sides + 1) / sides
         points = np.stack([centre[0] + radius * np.cos(angle), centre[1] - radius * np.sin(angle)], axis=1)
         for k in range(sides):
@@ -117,21 +117,20 @@ class Builder:
             (centre[0] - radius, bottom, centre[1] - radius), (centre[0] + radius, bottom + height, centre[1] + radius)
         )
 
-    def tree(self, name: str, centre: Xz, height: float = 6.0, bottom: float = 0.0, spread: float = 1.6) -> None:
+    def tree(self, name: str, centre: Xz, height: float, spread: float = 1.6) -> None:
         """A trunk and a crown of several balls of leaves, which begins well above heads."""
         trunk = max(2.6, 0.45 * height)
         bark = wood((58, 74, 92), 0.07)
-        self.column(f"{name}.trunk", centre, 0.16 + 0.01 * height, trunk, bark, bottom, sides=7)
+        self.column(f"{name}.trunk", centre, 0.16 + 0.01 * height, trunk, bark, 0.0, sides=7)
         tone = (self.rng.uniform(30, 60), self.rng.uniform(85, 125), self.rng.uniform(50, 105))
         for k in range(5):
             offset = self.rng.normal(0, 0.4 * spread, 3) * [1, 0.6, 1]
-            middle = np.array([centre[0], bottom + trunk + 0.3 * (height - trunk) + 0.4, centre[1]]) + offset
+            middle = np.array([centre[0], trunk + 0.3 * (height - trunk) + 0.4, centre[1]]) + offset
             radius = self.rng.uniform(0.55, 0.8) * spread
-            middle[1] = max(middle[1], bottom + 2.35 + radius * 0.85)
+            middle[1] = max(middle[1], 2.35 + radius * 0.85)
             self._add_crown(f"{name}.crown{k}", middle, radius, foliage(tone))
 
     def bush(self, name: str, centre: Xz, radius: float, bottom: float = 0.0) -> None:
-        """A round shrub."""
         tone = (self.rng.uniform(30, 60), self.rng.uniform(80, 120), self.rng.uniform(45, 95))
         self._add_crown(name, np.array([centre[0], bottom + 0.6 * radius, centre[1]]), radius, foliage(tone))
         low = (centre[0] - radius, bottom, centre[1] - radius)
@@ -156,7 +155,6 @@ class Builder:
             self.box(f"{name}.leg{side}", leg, size, plain((50, 50, 50)), yaw_deg=yaw_deg)
 
     def lamp_post(self, name: str, centre: Xz, height: float = 4.0) -> None:
-        """A pole with stickers and a lantern."""
         self.column(f"{name}.pole", centre, 0.08, height, _stickered((60, 64, 60)), sides=6)
         self.box(f"{name}.light", centre, (0.35, 0.5, 0.35), plain((190, 220, 225)), bottom=height, solid=False)
 

@@ -18,12 +18,11 @@ class Hung:
     pictures: float = 0.25
     notices: float = 0.4
     posters: float = 0.25
-    skirting: Bgr = (60, 66, 72)
 
     def paint(self, c: Canvas) -> None:
         """The wall; things hang between 0.6 and 2.3 m above its lower edge, in places of their own."""
         self.wall(c)
-        c.box(0, 0, c.width_m, 0.1, self.skirting)
+        c.box(0, 0, c.width_m, 0.1, (60, 66, 72))
         rng = c.rng
         x = rng.uniform(0.1, 0.4)
         total = self.pictures + self.notices + self.posters
@@ -106,7 +105,6 @@ def chair(b: Builder, name: str, centre: Xz, yaw_deg: float) -> None:
 
 
 def whiteboard(c: Canvas) -> None:
-    """A board with drawings and writing."""
     c.fill((236, 240, 240))
     for _ in range(16):
         x, y = c.rng.uniform(0.05, 0.7) * c.width_m, c.rng.uniform(0.08, 0.85) * c.height_m
@@ -118,15 +116,7 @@ def whiteboard(c: Canvas) -> None:
 
 def pane(b: Builder, name: str, left: Xz, right: Xz, bottom: float, top: float, stickers: bool = True) -> None:
     """A sheet of glass in a frame, with a band of stickers at eye height; it stands in the way."""
-    b.quad(
-        name,
-        (left[0], bottom, left[1]),
-        (right[0] - left[0], 0, right[1] - left[1]),
-        (0, top - bottom, 0),
-        materials.plain((120, 120, 110)),
-        4,
-        True,
-    )
+    b.wall(name, left, right, bottom, top, materials.plain((120, 120, 110)), 4, True)
     frame = materials.plain((70, 72, 76))
     for end, at in (("left", left), ("right", right)):
         b.box(f"{name}.{end}", at, (0.06, top - bottom, 0.06), frame, bottom=bottom)

@@ -27,7 +27,7 @@ ROOF_TILES = materials.masonry(0.22, 0.2, [(52, 72, 150), (60, 84, 170), (46, 60
 
 @dataclass(frozen=True)
 class Facade:
-    """How the front of a house looks. `same` repeats one window; `blank` is the share of windows left out."""
+    """How the front of a house looks. `same` repeats one window."""
 
     wall: Material
     storeys: int = 3
@@ -40,7 +40,6 @@ class Facade:
     graffiti: bool = False
     posters: int = 2
     ivy: bool = False
-    blank: float = 0.06
 
     def paint(self, c: Canvas) -> None:
         """The front, with its ground floor on the canvas's lower edge."""
@@ -58,7 +57,7 @@ class Facade:
                 x = margin + (k + 0.5) * self.pitch_m - w / 2
                 if storey == 0 and (k == doorway or self.shop):
                     continue
-                if not self.same and rng.random() < self.blank:
+                if not self.same and rng.random() < 0.06:
                     self._something(c, x, base)
                     continue
                 jitter = 0.0 if self.same else rng.uniform(-0.12, 0.12)
@@ -94,7 +93,6 @@ class Facade:
                 c.box(x + 0.05, y + 0.27 + 0.12 * k, x + 0.85, y + 0.32 + 0.12 * k, (170, 175, 180))
 
     def _shop(self, c: Canvas, colour: Bgr) -> None:
-        """A shop front: panes with goods, a door between them, a sign above."""
         w = c.width_m
         c.box(0.15, 0, w - 0.15, self.storey_m - 0.1, colour)
         entry = w * c.rng.uniform(0.35, 0.6)
@@ -244,7 +242,6 @@ def _sign(b: Builder, front: _Front) -> None:
 
 
 def planter(b: Builder, name: str, centre: Xz, yaw_deg: float = 0.0) -> None:
-    """A box with a shrub in it."""
     side = materials.masonry(0.2, 0.3, [(100, 120, 150), (120, 140, 165)], (70, 80, 90), 0.012, 15)
     b.box(name, centre, (0.9, 0.45, 0.5), side, yaw_deg=yaw_deg)
     b.bush(f"{name}.bush", centre, 0.42, 0.35)
@@ -265,8 +262,6 @@ def row_of_houses(
 
 
 def kiosk(b: Builder, centre: Xz, yaw_deg: float) -> None:
-    """An advertising pillar's square cousin: a stall covered with posters."""
-
     def side(c: Canvas) -> None:
         materials.plain(details.bright(c.rng))(c)
         for k in range(int(c.width_m / 0.8)):
@@ -278,7 +273,6 @@ def kiosk(b: Builder, centre: Xz, yaw_deg: float) -> None:
 
 
 def car(b: Builder, name: str, centre: Xz, yaw_deg: float) -> None:
-    """A parked van, boxy."""
     colour = vary(details.bright(b.rng), b.rng, 20)
 
     def side(c: Canvas) -> None:
@@ -303,8 +297,6 @@ def car(b: Builder, name: str, centre: Xz, yaw_deg: float) -> None:
 
 
 def bin_(b: Builder, name: str, centre: Xz) -> None:
-    """A litter bin with stickers."""
-
     def side(c: Canvas) -> None:
         materials.plain((50, 90, 45))(c)
         details.notice(c, 0.1, 0.4, 0.25, 0.3)

@@ -5,18 +5,23 @@ import zipfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
 import numpy as np
+import pandas as pd
 import pycolmap
 from scipy.spatial.transform import Rotation
 
 from groundwalk.capture_import.capture import Limits, Recording, Reject, Session
+from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose, tq_from_pose
+from groundwalk.store import DataRoot, execute
+from groundwalk.store.manifests import load_manifest
 
 WIDTH, HEIGHT = 96, 72
 _CAMERA, _SIZE = ("fx", "fy", "cx", "cy"), ("width", "height")
@@ -477,6 +482,24 @@ def read_one(root: Path, format_name: str = "auto") -> Recording:
 def reader_of(root: Path) -> ImageReader:
     """Reads the images of a folder, and of archives that were unpacked beside it."""
     return ImageReader([root.resolve(), (root.parent / "unpacked").resolve()], Limits())
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What import wrote of a scene."""
+
+    folder: Path
+    tables: dict[str, pd.DataFrame]
+    figures: dict[str, Any]
+
+    def __getitem__(self, table: str) -> pd.DataFrame:
+        return self.tables[table]
+
+
+def imported(data: Path, *settings: str, scene: str = "place") -> Imported:
+    folder = execute(STAGE, scene, "tiny", DataRoot(data), list(settings))
+    tables = {path.stem: pd.read_parquet(path) for path in folder.glob("*.parquet")}
+    return Imported(folder, tables, load_manifest(folder)["figures"])
 
 
 def sessions_in(root: Path) -> list[Session]:

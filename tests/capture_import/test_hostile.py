@@ -9,15 +9,12 @@ from pathlib import Path
 import pytest
 
 from groundwalk.capture_import.capture import Limits
-from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.media.archive import unpack
 from groundwalk.capture_import.parsing import json_of, lines_of
-from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store import UserError
 from groundwalk.store.manifests import load_manifest
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import read_table
-from tests.capture_import.capture_writers import WRITERS, make_walk
+from tests.capture_import.capture_writers import WRITERS, imported, make_walk
 
 
 def zipped_walk(archive: Path, frames: int) -> None:
@@ -51,8 +48,7 @@ def test_images_in_train_and_test_that_differ_in_metadata_alone_are_named(
         WRITERS["frames_jsonl"].write(root / "test", make_walk(4))
     for image in (root / "train" / "images").iterdir():
         image.write_bytes(image.read_bytes()[:2] + comment + image.read_bytes()[2:])
-    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["sampling=all", "check_convention=false"])
-    figures = load_manifest(artefact)["figures"]
+    figures = imported(tmp_path, "sampling=all", "check_convention=false").figures
     count = figures["frames_test"]
     assert figures["test_images_also_in_train"] == count > 0
     said = " ".join(capsys.readouterr().err.split())
@@ -64,7 +60,7 @@ def test_a_zipped_export_of_a_simulated_scene_is_simulated(tmp_path: Path) -> No
     zipped_walk(root / "walk.zip", 4)
     with zipfile.ZipFile(root / "walk.zip", "a") as archive:
         archive.writestr("export.json", '{"simulated": true}')
-    assert load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["check_convention=false"]))["simulated"]
+    assert load_manifest(imported(tmp_path, "check_convention=false").folder)["simulated"]
 
 
 def test_archives_that_shrink_too_much_or_hold_too_much_together_are_refused(tmp_path: Path) -> None:
@@ -144,8 +140,7 @@ def test_a_session_of_a_long_name_is_imported(tmp_path: Path, name: str) -> None
     root = tmp_path / "captures" / "place"
     for folder in (name, name[:-1] + "z"):
         WRITERS["frames_jsonl"].write(root / folder, make_walk(4))
-    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["images=copy", "check_convention=false"])
-    sessions = set(read_table(artefact / "frames.parquet", schema("import", "frames"))["session_id"])
+    sessions = set(imported(tmp_path, "images=copy", "check_convention=false")["frames"]["session_id"])
     assert len(sessions) == 2 and max(len(session.encode()) for session in sessions) <= 120
 
 
@@ -165,6 +160,5 @@ def test_one_hostile_row_is_one_reject(tmp_path: Path, key: str, value: object, 
     rows = [json.loads(line) for line in log.read_text().splitlines()]
     rows[3][key] = value
     log.write_bytes("\n".join(map(json.dumps, rows)).encode().replace(b"NOT UTF-8", b"\xe9"))
-    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["sampling=all", "check_convention=false"])
-    rejects = read_table(artefact / "rejects.parquet", schema("import", "rejects"))
+    rejects = imported(tmp_path, "sampling=all", "check_convention=false")["rejects"]
     assert rejects.loc[rejects["source"].str.contains("jsonl"), "reason"].str.contains(reason).sum() == 1

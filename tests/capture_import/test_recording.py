@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 from rerun.chunk import RrdReader
 
-from groundwalk.capture_import.definition import STAGE
-from groundwalk.store import DataRoot, execute
-from tests.capture_import.capture_writers import WRITERS, make_walk
+from tests.capture_import.capture_writers import WRITERS, imported, make_walk
 
 
 def rows_of(path: Path) -> dict[str, int]:
@@ -26,7 +24,7 @@ def test_each_session_has_its_own_tree(tmp_path: Path) -> None:
     WRITERS["3d_scanner_app"].write(folder / "walk", walk)
     (folder / "walk" / "frame_00010.jpg").write_bytes(b"")
     WRITERS["3d_scanner_app"].write(folder / "other", replace(make_walk(20, seed=1), has_image=np.ones(20, bool)))
-    rows = rows_of(execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["sampling='all'"]) / "recording.rrd")
+    rows = rows_of(imported(tmp_path, "sampling='all'").folder / "recording.rrd")
     for session, poses, images in (("walk", 30, 29), ("walk.part2", 30, 30), ("other", 20, 20)):
         at = f"/{session}"
         assert rows[f"{at}/vio"] == rows[f"{at}/frames"] == 1
@@ -40,6 +38,6 @@ def test_each_session_has_its_own_tree(tmp_path: Path) -> None:
 
 def test_a_reference_is_not_shown_as_odometry(tmp_path: Path) -> None:
     WRITERS["seven_scenes"].write(tmp_path / "captures" / "place" / "seq-01", make_walk(20, every=1))
-    rows = rows_of(execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["sampling='all'"]) / "recording.rrd")
+    rows = rows_of(imported(tmp_path, "sampling='all'").folder / "recording.rrd")
     assert rows["/seq-01/reference"] == 1 and "/seq-01/vio" not in rows
     assert rows["/images/seq-01"] == 20

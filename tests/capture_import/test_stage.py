@@ -11,15 +11,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.geometry.poses import make_pose
-from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store import UserError
 from groundwalk.store.tables import poses_of
 from tests.capture_import.capture_writers import (
     HEIGHT,
     WIDTH,
     Walk,
+    imported,
     make_walk,
     write_frames_jsonl,
     write_nerfstudio,
@@ -28,19 +28,12 @@ from tests.capture_import.capture_writers import (
 from tests.known import read_picture, rows
 
 
-def run_import(data: Path, scene: str, *settings: str) -> dict[str, pd.DataFrame]:
-    folder = execute(STAGE, scene, "tiny", DataRoot(data), list(settings))
-    assert (folder / "recording.rrd").stat().st_size > 1000
-    tables = {p.stem: pd.read_parquet(p) for p in folder.glob("*.parquet")}
-    return tables | {"figures": json.loads((folder / "manifest.json").read_text())["figures"]}
-
-
 def test_intrinsics_follow_images_that_were_made_smaller(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     walk, folder = make_walk(24), tmp_path / "captures" / "place"
     write_nerfstudio(folder, walk)
     for path in (folder / "images").iterdir():
         cv2.imwrite(str(path), cv2.resize(read_picture(path), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
-    tables = run_import(tmp_path, "place")
+    tables = imported(tmp_path)
     frames = tables["frames"]
     assert len(frames) and tables["rejects"].empty and set(frames["width"]) == {WIDTH // 2}
     np.testing.assert_allclose(frames[["fx", "fy", "cx", "cy"]], walk.camera[walk.seen] / 2)
@@ -53,7 +46,7 @@ def test_tables_hold_the_walk_as_it_was_and_nothing_personal(tmp_path: Path) -> 
         write_scanner_app(tmp_path / "captures" / "place" / name, walk, private=True)
     for name in ("true_poses", "true_cameras"):
         (tmp_path / f"captures/place/{name}.parquet").write_text("never opened")
-    tables = run_import(tmp_path, "place", "sampling='all'")
+    tables = imported(tmp_path, "sampling='all'")
     frames = tables["frames"]
     assert len(frames) == 90 and frames["frame_id"].is_unique
     for name, walk in walks.items():
@@ -73,11 +66,11 @@ def test_tables_hold_the_walk_as_it_was_and_nothing_personal(tmp_path: Path) -> 
     by_split = frames.groupby("session_id")["split"].agg(set).to_dict()
     assert by_split == {"train-1": {"train", "val"}, "train-2": {"train", "val"}, "test-1": {"test"}}
     assert tables["rejects"].empty and tables["jumps"].empty
-    assert tables["figures"]["leak_s"] is None
+    assert tables.figures["leak_s"] is None
     for path in (tmp_path / "runs").rglob("*"):
         assert path.is_dir() or not any(private in path.read_bytes() for private in (b"latitude", b"48.123456"))
     assert not np.isclose(frames.select_dtypes("number").to_numpy(), 48.123456).any()
-    gps = run_import(tmp_path, "place", "sampling='all'", "gps=true")["gps"]
+    gps = imported(tmp_path, "sampling='all'", "gps=true")["gps"]
     assert len(gps) == 180 and (gps["latitude_deg"] == 48.123456).all() and gps["accuracy_m"].isna().all()
     np.testing.assert_array_equal(gps.loc[gps["recording"] == "train-1", "t_ns"], walks["train-1"].t_ns)
 
@@ -87,23 +80,23 @@ def test_few_frames_are_all_kept_the_leak_is_told_and_inspect_says_so(
 ) -> None:
     write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(48))
     last = list(inspect_capture(tmp_path / "captures" / "place"))[-1].removeprefix("all recordings: ")
-    tables = run_import(tmp_path, "place")
+    tables = imported(tmp_path)
     assert len(tables["frames"]) == 24
     assert set(tables["frames"]["split"]) == {"train", "val", "test"}
-    assert 0 < tables["figures"]["leak_s"] < 5
+    assert 0 < tables.figures["leak_s"] < 5
     assert last.endswith("all are used") and last.partition(" (")[0] in capsys.readouterr().err
 
 
 def test_support_frames_are_added_between_frames_that_stay_the_same(tmp_path: Path) -> None:
     write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(201))
     write_scanner_app(tmp_path / "captures" / "place" / "xlater", make_walk(101, seed=1))
-    alone = run_import(tmp_path, "place", "min_frames=0", "max_support_fraction=0")
-    tables = run_import(tmp_path, "place", "min_frames=0")
+    alone = imported(tmp_path, "min_frames=0", "max_support_fraction=0")
+    tables = imported(tmp_path, "min_frames=0")
     frames, sessions = tables["frames"], tables["sessions"].set_index("session_id")
     dataset, support = frames[~frames["support"]], frames[frames["support"]]
     assert not alone["frames"]["support"].any() and len(support) > 10
     pd.testing.assert_frame_equal(dataset.reset_index(drop=True), alone["frames"])
-    figures = tables["figures"]
+    figures = tables.figures
     assert (figures["frames"], figures["support_frames"]) == (len(dataset), len(support))
     for session_id, used in frames.groupby("session_id"):
         row = sessions.loc[session_id]
@@ -120,10 +113,10 @@ def test_the_same_capture_gives_the_same_bytes_whatever_the_order_of_its_files(t
     shuffled.mkdir(parents=True)
     for path in np.random.default_rng(0).permutation(sorted(written.iterdir())):
         shutil.copyfile(path, shuffled / path.name)
-    one, two = (execute(STAGE, "place", "tiny", DataRoot(tmp_path / n), ["min_frames=30"]) for n in ("one", "two"))
-    assert pd.read_parquet(one / "frames.parquet")["support"].sum() > 5
-    tables = {path.name: path.read_bytes() for path in one.glob("*.parquet")}
-    assert tables == {path.name: path.read_bytes() for path in two.glob("*.parquet")}
+    one, two = (imported(tmp_path / n, "min_frames=30") for n in ("one", "two"))
+    assert one["frames"]["support"].sum() > 5
+    tables = {path.name: path.read_bytes() for path in one.folder.glob("*.parquet")}
+    assert tables == {path.name: path.read_bytes() for path in two.folder.glob("*.parquet")}
 
 
 def test_a_broken_row_costs_that_row_and_says_why(tmp_path: Path) -> None:
@@ -162,7 +155,7 @@ def test_a_broken_row_costs_that_row_and_says_why(tmp_path: Path) -> None:
         "frame_00012.json": "image is a link that leads out",
         "frame_00099.jpg": "no row of the log that can be read names this image",
     }
-    tables = run_import(tmp_path, "place")
+    tables = imported(tmp_path)
     found = dict(zip(tables["rejects"]["source"], tables["rejects"]["reason"], strict=True))
     # Of two rows with the same time either may go.
     found["frame_00008.json"] = found.pop("frame_00008.json", None) or found.pop("frame_00009.json")
@@ -184,7 +177,7 @@ def test_images_that_cannot_be_trusted_are_rejects(tmp_path: Path) -> None:
     for i in (15, *range(20, 30)):  # one lacks its pose, then ten in a row do
         del rows[i]["vio_T_cam"]
     (folder / "frames.jsonl").write_text("\n".join([header, *map(json.dumps, rows)]))
-    tables = run_import(tmp_path, "place", "sampling='all'")
+    tables = imported(tmp_path, "sampling='all'")
     reasons = dict(zip(tables["rejects"]["t_ns"], tables["rejects"]["reason"], strict=True))
     expected = {4: "not tracking", 9: "too blurred: sharpness"} | dict.fromkeys(range(20, 30), "no pose within 0.5 s")
     assert reasons.keys() == {rows[i]["t_ns"] for i in expected}
@@ -204,7 +197,7 @@ def test_a_large_jump_splits_the_session_a_small_one_is_told_and_rejects_name_th
     for number in (21, 81):  # the time of the row before, too
         shutil.copyfile(folder / f"frame_{number - 1:05d}.json", folder / f"frame_{number:05d}.json")
     (folder / "frame_00040.json").write_text("[]")
-    tables = run_import(tmp_path, "place", "sampling='all'")
+    tables = imported(tmp_path, "sampling='all'")
     jumps, rejects = tables["jumps"], tables["rejects"].sort_values(["session_id", "source"])
     assert jumps["splits"].tolist() == [False, True] and jumps["t_ns"].tolist() == walk.t_ns[[30, 60]].tolist()
     np.testing.assert_allclose(jumps["jump_m"], [0.2, 3.0], atol=0.05)
@@ -235,11 +228,11 @@ def test_a_recording_that_cannot_be_used_is_left_out_and_named_and_the_others_go
         captures / "in-mm", replace(fast, vio_T_cam=fast.vio_T_cam * np.c_[np.ones((4, 3)), [1e3, 1e3, 1e3, 1]])
     )
     (captures / "upload.zip").write_bytes(b"")
-    tables = run_import(tmp_path, "place")
+    tables = imported(tmp_path)
     assert set(tables["sessions"]["recording"]) == {"good-1", "good-2"}
     left_out = tables["rejects"][tables["rejects"]["rejected"] == "recording"].set_index("session_id")
     words = {"empty-log": "no frame of this recording can be read", "in-mm": "isn't plausible", "upload": "unpacked"}
-    assert left_out.index.tolist() == list(words) and tables["figures"]["recordings_left_out"] == 3
+    assert left_out.index.tolist() == list(words) and tables.figures["recordings_left_out"] == 3
     told = capsys.readouterr().err
     for name, text in words.items():
         assert text in str(left_out.loc[name, "reason"]) and f"warning: {name} is left out: " in told
@@ -249,35 +242,35 @@ def test_a_recording_that_cannot_be_used_is_left_out_and_named_and_the_others_go
     (tmp_path / "scenes").mkdir()
     (tmp_path / "scenes" / "place.toml").write_text("split.test = ['upload']\n")
     with pytest.raises(UserError, match="no such session"):
-        run_import(tmp_path, "place")
+        imported(tmp_path)
     (tmp_path / "scenes" / "place.toml").unlink()
     shutil.rmtree(captures / "good-1")
     shutil.rmtree(captures / "good-2")
     with pytest.raises(UserError, match="no frame of this recording can be read"):
-        run_import(tmp_path, "place")
+        imported(tmp_path)
 
 
 def test_user_mistakes_are_told_in_a_few_lines(tmp_path: Path) -> None:
     captures = tmp_path / "captures"
     (captures / "empty").mkdir(parents=True)
     with pytest.raises(UserError, match="no captures"):
-        run_import(tmp_path, "empty")
+        imported(tmp_path, scene="empty")
     (captures / "other").mkdir()
     (captures / "other" / "holiday.txt").write_text("sun")
     with pytest.raises(UserError, match=r"(?s)known format.*holiday.txt.*formats lists"):
-        run_import(tmp_path, "other")
+        imported(tmp_path, scene="other")
     write_scanner_app(captures / "broken" / "walk", make_walk(6))
     for path in (captures / "broken" / "walk").glob("frame*.json"):
         path.write_text("[]")
     with pytest.raises(UserError, match="no frame of this recording can be read"):
-        run_import(tmp_path, "broken")
+        imported(tmp_path, scene="broken")
     write_scanner_app(captures / "huge" / "walk", make_walk(6))
     with pytest.raises(UserError, match=r"(?s)no usable image.*larger than 0.001 megapixels"):
-        run_import(tmp_path, "huge", "max_megapixels=0.001")
+        imported(tmp_path, "max_megapixels=0.001", scene="huge")
     write_scanner_app(captures / "bytes" / "walk", make_walk(6))
     (captures / "bytes" / "walk").rename(os.fsdecode(os.fsencode(captures / "bytes") + b"/w\xff"))
     with pytest.raises(UserError, match="isn't UTF-8"):
-        run_import(tmp_path, "bytes")
+        imported(tmp_path, scene="bytes")
 
 
 def test_what_a_capture_states_of_its_shutter_is_in_frames_and_an_absurd_readout_is_refused(tmp_path: Path) -> None:
@@ -291,15 +284,15 @@ def test_what_a_capture_states_of_its_shutter_is_in_frames_and_an_absurd_readout
 
     for settings, side in (([], "bottom"), (["first_row='left'"], "left")):
         stated(first_row="bottom", readout_s=0.0187)
-        frames = pd.read_parquet(execute(STAGE, "place", "tiny", DataRoot(tmp_path), settings) / "frames.parquet")
+        frames = imported(tmp_path, *settings)["frames"]
         assert set(frames["first_row"]) == {side} and set(frames["stated_readout_s"]) == {0.0187}
     stated(first_row="down")
     with pytest.raises(UserError, match="first_row"):
-        execute(STAGE, "place", "tiny", DataRoot(tmp_path))
+        imported(tmp_path)
     for wrong in (18.7, -0.01, True, "20 ms"):
         stated(readout_s=wrong)
         with pytest.raises(UserError, match="readout_s, seconds, 0 to 0"):
-            execute(STAGE, "place", "tiny", DataRoot(tmp_path))
+            imported(tmp_path)
 
 
 def _with(walk: Walk, fault: str) -> Walk:
@@ -337,7 +330,7 @@ def test_what_is_not_plausible_is_told_by_inspect_and_import(
     lines = list(inspect_capture(tmp_path / "captures" / "place"))
     assert any(line.startswith(f"  warning    {said}") for line in lines)
     assert any(line.startswith("  status     usable: 1 warning above") for line in lines)
-    run_import(tmp_path, "place")
+    imported(tmp_path)
     assert f"warning: walk: {said}" in capsys.readouterr().err
 
 
@@ -361,7 +354,7 @@ def test_what_cannot_be_used_is_refused(tmp_path: Path, fault: str, refusal: str
     write_scanner_app(tmp_path / "captures" / "place" / "walk", _with(make_walk(), fault))
     assert any(line.startswith(f"  status     {status}") for line in inspect_capture(tmp_path / "captures" / "place"))
     with pytest.raises(UserError, match=refusal):
-        run_import(tmp_path, "place")
+        imported(tmp_path)
 
 
 def test_a_single_image_is_told_and_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -369,7 +362,7 @@ def test_a_single_image_is_told_and_refused(tmp_path: Path, capsys: pytest.Captu
     said = "it has one image: a model needs many that overlap"
     assert any(line == f"  warning    {said}" for line in inspect_capture(tmp_path / "captures" / "place"))
     with pytest.raises(UserError, match=r"leaves no frame to test on[\s\S]*1 frames"):
-        run_import(tmp_path, "place")
+        imported(tmp_path)
     assert f"warning: walk: {said}" in capsys.readouterr().err
 
 
@@ -392,7 +385,7 @@ def test_real_captures_are_imported_whole(
 ) -> None:
     (tmp_path / "captures").mkdir()
     (tmp_path / "captures" / capture).symlink_to(shared_captures / capture)
-    tables = run_import(tmp_path, capture)
+    tables = imported(tmp_path, scene=capture)
     used = tables["frames"]
     assert (~used["support"]).sum() == frames and len(used) >= images and len(tables["vio"]) == poses
     assert tables["sessions"][["frames", "support_frames"]].to_numpy().tolist() == [[frames, len(used) - frames]]

@@ -10,11 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.store import DataRoot
 from groundwalk.store.files import hash_files, sha256_of
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import pose_frame, read_table, write_table
+from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
 
 SIZE_PX = (320, 240)
 FOCAL_PX = 260.0
@@ -40,6 +41,12 @@ class Room:
     def note_images(self) -> None:
         """Note the images as they are now in import's table, as if import had seen them so."""
         _note_images(self.data)
+
+    def errors_m(self, images: pd.DataFrame) -> Array:
+        """How far the positions (N, 3) of a model's frames are from the true ones, as it fits these best."""
+        own = self.frames["frame_id"].isin(images["frame_id"])
+        true, found = self.true_T_cam[own, :3, 3], poses_of(images, "sfm_cam")[:, :3, 3]
+        return fit_sim3(true, found).points(found) - true
 
 
 @pytest.fixture

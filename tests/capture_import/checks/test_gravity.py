@@ -7,21 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
 from groundwalk.capture_import.capture import Limits, RawFrame, Recording, Session
 from groundwalk.capture_import.checks.gravity import check_gravity, starts_along_axes
-from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose
-from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 from tests.capture_import.capture_writers import (
     Walk,
+    imported,
     make_walk,
     reader_of,
     sessions_in,
@@ -34,11 +33,6 @@ from tests.capture_import.capture_writers import (
 from tests.known import there
 
 GRAVITY = ["gravity_x", "gravity_y", "gravity_z"]
-
-
-def run(data: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
-    folder = execute(STAGE, "place", "tiny", DataRoot(data), [])
-    return pd.read_parquet(folder / "sessions.parquet"), pd.read_parquet(folder / "frames.parquet")
 
 
 def relative_to_start(walk: Walk) -> Walk:
@@ -57,8 +51,8 @@ def test_poses_relative_to_the_first_camera_have_no_gravity(tmp_path: Path, caps
     place = tmp_path / "captures" / "place"
     write_record3d(place / "walk", relative_to_start(make_walk()))
     write_record3d(place / "other", make_walk(seed=1))
-    sessions, frames = run(tmp_path)
-    by_id = sessions.set_index("session_id")
+    made = imported(tmp_path)
+    by_id, frames = made["sessions"].set_index("session_id"), made["frames"]
     assert [*by_id.loc["walk", ["up", "up_source"]]] == ["unknown", "start pose"]
     assert [*by_id.loc["other", ["up", "up_source"]]] == ["+y", "format"]
     unknown = frames["session_id"] == "walk"
@@ -105,7 +99,8 @@ def test_frames_jsonl_states_whether_its_y_is_up(tmp_path: Path) -> None:
     write_frames_jsonl(place / "level", relative_to_start(make_walk(seed=1)))
     state(place / "denied", False)
     state(place / "level", True)
-    sessions, frames = run(tmp_path)
+    made = imported(tmp_path)
+    sessions, frames = made["sessions"], made["frames"]
     assert sessions.set_index("session_id")["up"].to_dict() == {"denied": "unknown", "level": "+y"}
     assert set(sessions["up_source"]) == {"stated"}
     assert frames.loc[frames["session_id"] == "denied", GRAVITY].isna().all(axis=None)

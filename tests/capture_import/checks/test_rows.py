@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, Recording
-from groundwalk.capture_import.checks.jumps import find_jumps
 from groundwalk.capture_import.checks.rows import check_rows
 from groundwalk.capture_import.media.images import sharpness
+from groundwalk.capture_import.sessions import find_jumps
 from groundwalk.geometry.poses import Array, make_pose, rotation_angle, yaw_rotation
 from groundwalk.store.choices import Clock
 from tests.capture_import.capture_writers import image, make_walk

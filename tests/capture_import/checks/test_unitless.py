@@ -5,23 +5,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from groundwalk.capture_import.capture import RawFrame, Session
+from groundwalk.capture_import.capture import RawFrame, Recording, Session
 from groundwalk.capture_import.checks.convention import check_convention, unitless_parallax_pairs
 from groundwalk.capture_import.checks.plausibility import plausibility_faults
 from groundwalk.capture_import.checks.rows import check_rows
-from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.inspection import inspect_capture
-from groundwalk.capture_import.origin import far_origin, moved
+from groundwalk.capture_import.sessions import far_origin, moved
 from groundwalk.geometry.poses import Array, make_pose
-from groundwalk.store import DataRoot, execute
 from groundwalk.store.choices import PoseSource
 from groundwalk.store.tables import poses_of
-from tests.capture_import.capture_writers import make_walk, reader_of, write_nerfstudio
+from tests.capture_import.capture_writers import imported, make_walk, reader_of, write_nerfstudio
 from tests.capture_import.checks.test_convention import room, with_mistake
 from tests.capture_import.checks.test_rows import session_of
 
@@ -55,6 +52,13 @@ def test_mistakes_are_named_at_any_scale_and_origin(
     assert check_convention(with_mistake(replace(session, frames=shuffled), name), load).contradicted == name
 
 
+def reference_of(scale: float, origin: Array) -> tuple[Recording, Array]:
+    """A walk as a reference without a unit, in a world of so many units a metre with another origin; its poses."""
+    walk = make_walk(40)
+    world = make_pose(walk.vio_T_cam[:, :3, :3], scale * (walk.vio_T_cam[:, :3, 3] + origin))
+    return replace(session_of(walk.t_ns, list(world)), pose_source=PoseSource.REFERENCE, is_metric=False), world
+
+
 SCALES = st.floats(-6, 6).map(lambda exponent: 10.0**exponent)
 ORIGINS = st.tuples(*[st.floats(-1e6, 1e6)] * 3).map(np.array)
 
@@ -62,9 +66,7 @@ ORIGINS = st.tuples(*[st.floats(-1e6, 1e6)] * 3).map(np.array)
 @settings(max_examples=25)
 @given(SCALES, ORIGINS, st.integers(0, 5))
 def test_pairs_rows_and_frames_do_not_depend_on_unit_and_origin(scale: float, origin: Array, broken: int) -> None:
-    walk = make_walk(40)
-    world = make_pose(walk.vio_T_cam[:, :3, :3], scale * (walk.vio_T_cam[:, :3, 3] + origin))
-    session = replace(session_of(walk.t_ns, list(world)), pose_source=PoseSource.REFERENCE, is_metric=False)
+    walk, (session, _) = make_walk(40), reference_of(scale, origin)
     here = session_of(walk.t_ns, list(walk.vio_T_cam))
     assert unitless_parallax_pairs(session.frames) == unitless_parallax_pairs(here.frames)
     assert not check_rows(session)[1]
@@ -81,9 +83,7 @@ def test_pairs_rows_and_frames_do_not_depend_on_unit_and_origin(scale: float, or
 
 @given(SCALES, ORIGINS)
 def test_a_far_origin_is_taken_off_and_stated(scale: float, origin: Array) -> None:
-    walk = make_walk(40)
-    world = make_pose(walk.vio_T_cam[:, :3, :3], scale * (walk.vio_T_cam[:, :3, 3] + origin))
-    raw = replace(session_of(walk.t_ns, list(world)), pose_source=PoseSource.REFERENCE, is_metric=False)
+    raw, world = reference_of(scale, origin)
     session = Session("walk", raw, list(raw.frames), [], [])
     off, extent = far_origin([session]), float(np.linalg.norm(np.ptp(world[:, :3, 3], axis=0)))
     assert (off is not None) == (np.linalg.norm(np.median(world[:, :3, 3], axis=0)) > 1000 * extent)
@@ -111,9 +111,8 @@ def test_a_georeferenced_data_set_comes_in_near_its_origin(tmp_path: Path) -> No
     (root / "transforms.json").write_text(json.dumps(content))
     lines = [line for line in inspect_capture(root) if "reference_origin_x" in line]
     assert len(lines) == 2 and "(4186460, 834910, 4723430) of the data set's own coordinates" in lines[0]
-    finished = execute(STAGE, "place", "tiny", DataRoot(tmp_path))
-    origins = pd.read_parquet(finished / "sessions.parquet")[[f"reference_origin_{axis}" for axis in "xyz"]]
+    made = imported(tmp_path)
+    origins = made["sessions"][[f"reference_origin_{axis}" for axis in "xyz"]]
     assert origins.to_numpy().tolist() == [[4186460.0, 834910.0, 4723430.0]] * 2
-    reference = pd.read_parquet(finished / "reference.parquet")
-    centres = poses_of(reference, "map_cam")[:, :3, 3] + origins.to_numpy()[0]
-    assert len(reference) and np.abs(centres - ECEF).max() < 10
+    centres = poses_of(made["reference"], "map_cam")[:, :3, 3] + origins.to_numpy()[0]
+    assert len(centres) and np.abs(centres - ECEF).max() < 10

@@ -11,17 +11,15 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-import pandas as pd
 import pytest
 from rerun.chunk import RrdReader
 
 from groundwalk.capture_import.capture import ImageFile, Limits, Recording
-from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.scanner_app import FORMAT as SCANNER_APP
 from groundwalk.capture_import.inspection import inspect_capture
-from groundwalk.store import DataRoot, UserError, execute
-from tests.capture_import.capture_writers import read_one
+from groundwalk.store import UserError
+from tests.capture_import.capture_writers import imported, read_one
 from tests.known import there
 
 
@@ -220,27 +218,21 @@ def place(tmp_path: Path) -> Path:
     return tmp_path / "captures" / "place"
 
 
-def imported(place: Path) -> tuple[dict[str, pd.DataFrame], dict[str, object]]:
-    folder = execute(STAGE, "place", "tiny", DataRoot(place.parents[1]))
-    tables = {name: pd.read_parquet(folder / f"{name}.parquet") for name in ("frames", "sessions")}
-    return tables, json.loads((folder / "manifest.json").read_text())["figures"]
-
-
 def test_without_times_nothing_is_in_seconds(make: Make, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     make("colmap_unpadded_names").rename(place)
-    tables, figures = imported(place)
-    recording = place.parents[1] / "runs" / "tiny" / "place" / "import" / "recording.rrd"
-    assert tables["sessions"][["duration_s", "path_m"]].isna().all(axis=None)
+    made = imported(place.parents[1])
+    figures = made.figures
+    assert made["sessions"][["duration_s", "path_m"]].isna().all(axis=None)
     assert figures["leak_s"] is None and figures["path_m"] is None and figures["frames"] == 24
     assert figures["split"] == "the last images of each recording by their names"
     said = capsys.readouterr().err.partition("done in")[0]
     assert "no times" in said and not re.search(r"[0-9] s\b|m/s| m in ", said)
     lines = "\n".join(inspect_capture(place))
     assert "poses      24, without times" in lines and not re.search(r"[0-9] (m|s|Hz)\b|m/s", lines)
-    chunks = [chunk.to_record_batch().schema.names for chunk in RrdReader(recording).stream()]
+    chunks = [chunk.to_record_batch().schema.names for chunk in RrdReader(made.folder / "recording.rrd").stream()]
     assert any("image_by_name" in names for names in chunks) and not any("time" in names for names in chunks)
     # Natural order: the last fifth of the names tests.
-    tests = tables["frames"].loc[tables["frames"]["split"] == "test", "image"]
+    tests = made["frames"].loc[made["frames"]["split"] == "test", "image"]
     assert [Path(name).stem for name in tests] == [f"frame{n}" for n in range(24 - len(tests), 24)]
 
 
@@ -251,11 +243,10 @@ def test_near_copies_in_training_are_warned_of(
     order = np.random.default_rng(0).permutation(24) if is_shuffled else np.arange(24)
     cases.images(place / "images", take=order)
     cases.colmap(place / "sparse" / "0", take=order)
-    _, figures = imported(place)
+    near = imported(place.parents[1]).figures["test_images_near_train"]
     warned = "test images show nearly what a training image shows" in capsys.readouterr().err
     assert warned == is_shuffled
-    near = figures["test_images_near_train"]
-    assert isinstance(near, float) and (near > 0.5 if is_shuffled else near == 0)
+    assert near > 0.5 if is_shuffled else near == 0
 
 
 def test_a_split_by_images_is_taken_and_copies_make_none(make: Make, place: Path) -> None:
@@ -263,13 +254,13 @@ def test_a_split_by_images_is_taken_and_copies_make_none(make: Make, place: Path
     content = json.loads((place / "transforms.json").read_text())
     content["test_filenames"] = [f"images/{n:06d}.jpg" for n in range(0, 24, 4)]
     (place / "transforms.json").write_text(json.dumps(content))
-    tables, figures = imported(place)
-    assert figures["split"] == "as the data set states"
-    tests = tables["frames"].loc[tables["frames"]["split"] == "test", "image"]
+    made = imported(place.parents[1])
+    assert made.figures["split"] == "as the data set states"
+    tests = made["frames"].loc[made["frames"]["split"] == "test", "image"]
     assert [int(Path(name).stem) for name in tests] == list(range(0, 24, 4))
     shutil.rmtree(place)
     make("nerf_split").rename(place)
-    tables, figures = imported(place)
-    assert figures["frames"] == 24 and figures["test_images_also_in_train"] == 0
-    assert figures["split"] == "the last images of each recording by their names"
-    assert tables["frames"]["image"].str.startswith("train/").all()
+    made = imported(place.parents[1])
+    assert made.figures["frames"] == 24 and made.figures["test_images_also_in_train"] == 0
+    assert made.figures["split"] == "the last images of each recording by their names"
+    assert made["frames"]["image"].str.startswith("train/").all()

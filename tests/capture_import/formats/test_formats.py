@@ -7,23 +7,22 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from groundwalk.capture_import.capture import ImageFile, Limits, poses_of
-from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.geometry.poses import relative, rotation_angle, tq_from_pose
-from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store import UserError
 from tests.capture_import.capture_writers import (
     HEIGHT,
     WIDTH,
     WRITERS,
     find_one,
     image,
+    imported,
     make_walk,
     read_one,
     rejects_of,
@@ -210,11 +209,10 @@ def test_kitti_poses_beside_the_sequences_are_read_and_a_sequence_without_is_tol
 def test_video_frames_are_joined_to_their_own_poses(tmp_path: Path, name: str) -> None:
     walk = make_walk(24)
     WRITERS[name].write(tmp_path / "captures" / "place" / "walk", walk)
-    folder = execute(STAGE, "place", "tiny", DataRoot(tmp_path))
-    frames = pd.read_parquet(folder / "frames.parquet")
-    for row in rows(frames):
+    made = imported(tmp_path)
+    for row in rows(made["frames"]):
         index = int(np.argmin(np.abs(walk.t_ns - row.t_ns)))
-        written = decode_rgb((folder / row.image.removeprefix("import:")).read_bytes(), 1000)
+        written = decode_rgb((made.folder / row.image.removeprefix("import:")).read_bytes(), 1000)
         errors = [np.abs(written.astype(int) - image(i)[:, :, ::-1]).mean() for i in range(24)]
         assert int(np.argmin(errors)) == index and errors[index] < 20
 

@@ -10,19 +10,17 @@ from typing import Any
 import av
 import cv2
 import numpy as np
-import pandas as pd
 import PIL.ExifTags
 import PIL.Image
 import pillow_heif
 import pytest
 
-from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.inspection import inspect_capture
-from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store import UserError
 from groundwalk.store.images import image_file
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import read_table
-from tests.capture_import.capture_writers import image, read_one
+from tests.capture_import.capture_writers import Imported, image, imported, read_one
 from tests.known import there
 
 WIDTH, HEIGHT = 320, 240
@@ -47,12 +45,9 @@ def write_photo(
     path.write_bytes(buffer.getvalue())
 
 
-def imported(data: Path) -> tuple[dict[str, pd.DataFrame], list[bytes]]:
-    """Tables, and the images of the frames in their order."""
-    folder = execute(STAGE, "place", "tiny", DataRoot(data))
-    tables = {path.stem: pd.read_parquet(path) for path in folder.glob("*.parquet")}
-    files = [image_file(entry, data / "captures" / "place", folder) for entry in tables["frames"]["image"]]
-    return tables, [file.read_bytes() for file in files]
+def images_of(made: Imported, place: Path) -> list[bytes]:
+    """The images of the frames in their order."""
+    return [image_file(entry, place, made.folder).read_bytes() for entry in made["frames"]["image"]]
 
 
 def off(data: bytes, index: int, turns: int = 0) -> float:
@@ -69,11 +64,11 @@ def test_orientation_is_applied_once(tmp_path: Path, orientation: int, turns: in
     place = tmp_path / "captures" / "place"
     for n in range(6):
         write_photo(place / f"IMG_{n}.jpg", n, turns, Orientation=orientation)
-    tables, images = imported(tmp_path)
+    tables = imported(tmp_path)
     frames = tables["frames"]
     assert len(frames) == 6 and set(zip(frames["width"], frames["height"], strict=True)) == {(WIDTH, HEIGHT)}
     assert (frames[["cx", "cy"]] == [WIDTH / 2, HEIGHT / 2]).all(axis=None) and set(frames["first_row"]) == {first_row}
-    for n, data in enumerate(images):
+    for n, data in enumerate(images_of(tables, place)):
         assert off(data, n) < 25
         with PIL.Image.open(io.BytesIO(data)) as shown:
             assert shown.getexif().get(BASE.Orientation, 1) == 1
@@ -93,7 +88,7 @@ def test_cameras_are_grouped_and_their_names_stay(tmp_path: Path) -> None:
         write_photo(
             place / f"e{n}.jpg", 40 + n, Model="Crop", FocalLengthIn35mmFilm=26, ExifImageWidth=400, ExifImageHeight=240
         )
-    tables, _ = imported(tmp_path)
+    tables = imported(tmp_path)
     sessions, frames = tables["sessions"], tables["frames"]
     assert list(sessions["session_id"]) == ["place", *(f"place.camera{k}" for k in (2, 3, 4))]
     assert list(sessions["frames"]) == [8, 4, 4, 4]
@@ -159,12 +154,12 @@ def test_heic_is_read_upright_and_written_as_jpeg(tmp_path: Path) -> None:
         file = place / f"IMG_{n}.{'HEIC' if n else 'jpg'}"
         pillow_heif.from_pillow(picture).save(file, exif=exif.tobytes(), quality=95)
     (place / "IMG_9.HEIC").write_bytes((place / "IMG_1.HEIC").read_bytes()[:900])
-    tables, images = imported(tmp_path)
+    tables = imported(tmp_path)
     frames = tables["frames"]
     assert len(frames) == 4 and set(zip(frames["width"], frames["height"], strict=True)) == {(WIDTH, HEIGHT)}
     assert frames["fx"].to_numpy() == pytest.approx(26 * np.hypot(WIDTH, HEIGHT) / np.hypot(36, 24))
     assert "IMG_9.HEIC" in tables["rejects"]["source"][0]
-    for n, data in enumerate(images):
+    for n, data in enumerate(images_of(tables, place)):
         assert data.startswith(b"\xff\xd8") and b"Secret" not in data and off(data, n) < 25
 
 
@@ -215,13 +210,13 @@ def test_a_video_is_turned_and_has_its_own_times(tmp_path: Path, rotation: int, 
     place = tmp_path / "captures" / "place"
     times_s = [0.0, 0.4, 1.5, 1.6, 2.2, 3.9, 4.0, 5.5]  # of a variable rate
     write_video(place / "IMG_0001.MOV", times_s, rotation)
-    tables, images = imported(tmp_path)
+    tables = imported(tmp_path)
     frames = tables["frames"]
     size = (HEIGHT, WIDTH) if turns % 2 else (WIDTH, HEIGHT)
     assert set(zip(frames["width"], frames["height"], strict=True)) == {size} and set(frames["clock"]) == {"video"}
     assert list(tables["sessions"]["session_id"]) == ["IMG_0001"] and len(frames) == len(times_s)
     assert frames["t_ns"].to_numpy() * 1e-9 == pytest.approx(times_s, abs=0.002)
-    assert all(off(data, n, turns) < 25 for n, data in enumerate(images))
+    assert all(off(data, n, turns) < 25 for n, data in enumerate(images_of(tables, place)))
 
 
 @pytest.mark.parametrize("step_px", [1, 2])
@@ -235,7 +230,7 @@ def test_a_cut_in_a_video_begins_a_session(tmp_path: Path, step_px: int) -> None
         return cv2.convertScaleAbs(shown, alpha=0.8, beta=40 if n % 30 > 10 else 0)
 
     write_video(tmp_path / "captures" / "place" / "a.mp4", [n / 10 for n in range(80)], picture_of=picture)
-    tables, _ = imported(tmp_path)
+    tables = imported(tmp_path)
     assert tables["sessions"]["session_id"].tolist() == ["a", "a.part2", "a.part3"]
     assert tables["sessions"]["device"].tolist() == ["camera 1"] * 3
     t_s = {str(name): rows["t_ns"].to_numpy(float) * 1e-9 for name, rows in tables["frames"].groupby("session_id")}
@@ -248,7 +243,7 @@ def test_photos_of_one_camera_share_it_across_folders_and_others_dont(tmp_path: 
         for folder, model in (("a", "P"), ("b", "Q"), ("c", "P"), ("d", ""), ("e", "")):
             write_photo(tmp_path / "captures" / "place" / folder / f"{n}.jpg", 10 * ord(folder) + n, Model=model)
     write_video(tmp_path / "captures" / "place" / "f.mp4", [n / 2 for n in range(4)])
-    tables, _ = imported(tmp_path)
+    tables = imported(tmp_path)
     devices = tables["sessions"].set_index("session_id")["device"].str.removeprefix("camera ")
     assert devices.astype(int).to_dict() == {"a": 1, "b": 2, "c": 1, "d": 3, "e": 4, "f": 5}
 
@@ -279,10 +274,9 @@ def test_positions_on_earth_are_kept_only_where_they_are_asked_for(tmp_path: Pat
             exif = photo.getexif()
             exif[BASE.GPSInfo] = gps
             photo.save(place / f"IMG_{n}.jpg", quality=95, exif=exif)
-    plain = execute(STAGE, "place", "tiny", DataRoot(tmp_path))
-    assert not (plain / "gps.parquet").exists()
-    asked = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["gps=true"])
-    gps_table, rejects = (read_table(asked / f"{name}.parquet", schema("import", name)) for name in ("gps", "rejects"))
+    assert "gps" not in imported(tmp_path).tables
+    asked = imported(tmp_path, "gps=true")
+    gps_table, rejects = (read_table(asked.folder / f"{t}.parquet", schema("import", t)) for t in ("gps", "rejects"))
     assert gps_table["t_ns"].tolist() == [0, 10**9, 2 * 10**9]
     assert gps_table["latitude_deg"].to_numpy() == pytest.approx([-33.8568056, -33.8570833, -33.8573611])
     assert gps_table["longitude_deg"].to_numpy() == pytest.approx(-151.2152778)

@@ -10,20 +10,19 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pandas as pd
 import pycolmap
 import pytest
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, Recording
 from groundwalk.capture_import.capture import poses_of as raw_poses_of
-from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.colmap import _Camera, _intrinsics
 from groundwalk.geometry.poses import inverse
-from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store import UserError
 from groundwalk.store.tables import poses_of
 from tests.capture_import.capture_writers import (
     Walk,
+    imported,
     make_walk,
     sessions_in,
     write_colmap,
@@ -355,16 +354,11 @@ def test_two_cameras_whose_focal_lengths_are_far_apart_are_two(tmp_path: Path) -
 def test_a_reference_is_no_vio_and_its_unit_is_stated(tmp_path: Path, metric: bool) -> None:
     walk = make_walk(8, every=1)
     write_nerfstudio(tmp_path / "captures" / "place" / "walk", walk)
-    settings = [f"reference_is_metric={str(metric).lower()}"]
-    folder = execute(STAGE, "place", "tiny", DataRoot(tmp_path), settings)
-    sessions = pd.read_parquet(folder / "sessions.parquet")
+    made = imported(tmp_path, f"reference_is_metric={str(metric).lower()}")
     unit = "m" if metric else "unknown"
-    assert sessions[["pose_source", "reference_unit", "up"]].iloc[0].tolist() == ["reference", unit, "unknown"]
-    frames = pd.read_parquet(folder / "frames.parquet")
-    assert frames["vio_cam_tx"].isna().all() and frames["gravity_x"].isna().all()
-    reference = pd.read_parquet(folder / "reference.parquet")
-    np.testing.assert_allclose(poses_of(reference, "map_cam"), walk.vio_T_cam, atol=1e-9)
-    assert not len(pd.read_parquet(folder / "vio.parquet"))
+    assert made["sessions"][["pose_source", "reference_unit", "up"]].iloc[0].tolist() == ["reference", unit, "unknown"]
+    assert made["frames"][["vio_cam_tx", "gravity_x"]].isna().all(axis=None) and made["vio"].empty
+    np.testing.assert_allclose(poses_of(made["reference"], "map_cam"), walk.vio_T_cam, atol=1e-9)
 
 
 def test_rows_of_nerfstudio_without_an_image_are_rejects(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,16 +12,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.capture_import.definition import STAGE
 from groundwalk.capture_import.media.blurring import Blurring, FaceDetector, Region, blurred, read_boxes
 from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.geometry.poses import make_pose
-from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store import UserError
 from groundwalk.store.images import without_metadata
-from groundwalk.store.manifests import load_manifest
 from tests.capture_import.capture_writers import (
     Walk,
     image,
+    imported,
     jpeg,
     make_walk,
     write_scanner_app,
@@ -52,6 +51,18 @@ def portrait() -> np.ndarray:
     return decode_rgb((Path(matplotlib.get_data_path()) / "sample_data/grace_hopper.jpg").read_bytes(), 2**31)
 
 
+def walk_with_faces(count: int, of: Sequence[int], quarters: int = 0) -> Walk:
+    """A walk with a portrait in some of its images, as a sensor has them that is turned by so many quarters."""
+    walk = make_walk(count, every=1)
+    pictures = np.full((count, 360, 480, 3), 90, np.uint8)
+    pictures[:, ::2, ::3] = 110
+    pictures[[*of], 40:220, 160:314] = cv2.resize(portrait(), (154, 180), interpolation=cv2.INTER_AREA)[:, :, ::-1]
+    camera = np.tile([400.0, 400.0, *([180.0, 240.0] if quarters else [240.0, 180.0])], (count, 1))
+    clockwise = make_pose([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0, 0, 0]) if quarters else np.eye(4)
+    pictures = np.rot90(pictures, quarters, (1, 2))
+    return replace(walk, vio_T_cam=walk.vio_T_cam @ clockwise, pictures=pictures, camera=camera)
+
+
 def png_with_metadata(index: int) -> bytes:
     data = cv2.imencode(".png", image(index))[1].tobytes()
     chunks = b""
@@ -77,11 +88,10 @@ def test_copied_images_tell_no_place(tmp_path: Path) -> None:
     write_scanner_app(folder, make_walk())
     for path in folder.glob("*.jpg"):
         path.write_bytes(jpeg_with_metadata(int(path.stem[-5:])))
-    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["images='copy'"])
-    assert len(list((artefact / "images").rglob("*.jpg"))) == 12
-    assert not any(PLACE in path.read_bytes() for path in artefact.rglob("*") if path.is_file())
-    frames = pd.read_parquet(artefact / "frames.parquet")
-    assert frames[["blurred_faces", "blurred_plates"]].isna().all(axis=None)
+    made = imported(tmp_path, "images='copy'")
+    assert len(list((made.folder / "images").rglob("*.jpg"))) == 12
+    assert not any(PLACE in path.read_bytes() for path in made.folder.rglob("*") if path.is_file())
+    assert made["frames"][["blurred_faces", "blurred_plates"]].isna().all(axis=None)
 
 
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3])
@@ -109,18 +119,8 @@ def test_what_a_detector_finds_is_erased_where_it_is(quarters: int) -> None:
 def test_boxes_corrected_by_hand_are_blurred_and_no_others(tmp_path: Path) -> None:
     """What import found is in a table; a row taken out isn't blurred again, one put in is, as a spreadsheet writes it;
     detectors look at images that the table doesn't list."""
-    walk = make_walk(6, every=1)
-    pictures = np.full((6, 360, 480, 3), 90, np.uint8)
-    pictures[:, ::2, ::3] = 110
-    for i in (1, 3, 5):
-        pictures[i, 40:220, 160:314] = cv2.resize(portrait(), (154, 180), interpolation=cv2.INTER_AREA)[:, :, ::-1]
-    camera = np.tile([400.0, 400.0, 240.0, 180.0], (6, 1))
-    write_scanner_app(tmp_path / "captures" / "place" / "walk", replace(walk, pictures=pictures, camera=camera))
-
-    def imported(*settings: str) -> Path:
-        return execute(STAGE, "place", "tiny", DataRoot(tmp_path), list(settings))
-
-    found = pd.read_csv(imported("blur=true") / "blurred.csv", keep_default_na=False)
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", walk_with_faces(6, (1, 3, 5)))
+    found = pd.read_csv(imported(tmp_path, "blur=true").folder / "blurred.csv", keep_default_na=False)
     with_face = found.loc[found["kind"] == "face", "frame_id"].str[-1]
     assert found["frame_id"].nunique() == 6 and set(with_face) == {"1", "3", "5"}
     rows = found[(found["frame_id"] != "walk/000005") & (found["kind"] == "")].to_dict("records")
@@ -128,14 +128,14 @@ def test_boxes_corrected_by_hand_are_blurred_and_no_others(tmp_path: Path) -> No
     rows += [{"frame_id": "walk/000003", "kind": "plate", "x": 300, "y": 250, "width": 80, "height": 30}]
     rows += [{"frame_id": "walk/999999", "kind": "face", "x": 1, "y": 1, "width": 8, "height": 8}]
     pd.DataFrame(rows).to_csv(tmp_path / "boxes.csv", sep=";", index=False, encoding="utf-8-sig")
-    artefact = imported("blur=true", "blur_boxes=boxes.csv")
-    frames = pd.read_parquet(artefact / "frames.parquet")
+    made = imported(tmp_path, "blur=true", "blur_boxes=boxes.csv")
+    frames = made["frames"]
     assert frames["blurred_faces"].tolist()[:5] == [0] * 5 and frames["blurred_faces"].tolist()[5] > 0
     assert frames["blurred_plates"].tolist() == [0, 0, 0, 1, 0, 0]
     assert [entry.startswith("import:") for entry in frames["image"]] == [False, False, False, True, False, True]
-    shown = decode_rgb((artefact / frames["image"][3].removeprefix("import:")).read_bytes(), 1000).astype(int)
+    shown = decode_rgb((made.folder / frames["image"][3].removeprefix("import:")).read_bytes(), 1000).astype(int)
     assert np.abs(np.diff(shown[255:275, 310:370], axis=0)).mean() < 4 < np.abs(np.diff(shown[60:200, 180:300])).mean()
-    alone = pd.read_parquet(imported("blur_boxes=boxes.csv") / "frames.parquet")
+    alone = imported(tmp_path, "blur_boxes=boxes.csv")["frames"]
     assert alone["blurred_plates"].isna().tolist() == [False] * 5 + [True]
 
 
@@ -164,24 +164,16 @@ def test_the_blurring_of_a_face_is_in_the_artefact(
 ) -> None:
     """The whole way with the real detector: found in what gravity says is upright, counted at its frame, erased in the
     image that is written, which stays as the sensor has it."""
-    walk = make_walk(10, every=1)
-    pictures = np.full((10, 360, 480, 3), 90, np.uint8)
-    pictures[:, ::2, ::3] = 110
-    for i in (2, 7):
-        pictures[i, 40:220, 160:314] = cv2.resize(portrait(), (154, 180), interpolation=cv2.INTER_AREA)[:, :, ::-1]
-    camera = np.tile([400.0, 400.0, *([180.0, 240.0] if quarters else [240.0, 180.0])], (10, 1))
-    clockwise = make_pose([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0, 0, 0]) if quarters else np.eye(4)
-    pictures, walk = np.rot90(pictures, quarters, (1, 2)), replace(walk, vio_T_cam=walk.vio_T_cam @ clockwise)
-    write(tmp_path / "captures" / "place" / "walk", replace(walk, pictures=pictures, camera=camera))
-    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["blur=true"])
-    frames = pd.read_parquet(artefact / "frames.parquet")
+    write(tmp_path / "captures" / "place" / "walk", walk_with_faces(10, (2, 7), quarters))
+    made = imported(tmp_path, "blur=true")
+    frames = made["frames"]
     assert np.flatnonzero(frames["blurred_faces"] > 0).tolist() == [2, 7]
-    assert load_manifest(artefact)["figures"]["blurred_faces"] == frames["blurred_faces"].sum()
+    assert made.figures["blurred_faces"] == frames["blurred_faces"].sum()
     detect = FaceDetector()
     for row in rows(frames):
         assert row.image.startswith("import:") == (row.blurred_faces > 0 or write is write_stray_scanner)
         if row.blurred_faces:
-            written = decode_rgb((artefact / row.image.removeprefix("import:")).read_bytes(), 1000)
+            written = decode_rgb((made.folder / row.image.removeprefix("import:")).read_bytes(), 1000)
             upright = np.ascontiguousarray(np.rot90(written, -quarters))
             assert upright.shape == (360, 480, 3) and not detect(upright)
 
@@ -218,5 +210,5 @@ def test_a_face_model_that_cannot_be_used_is_named(tmp_path: Path, content: byte
     if content:
         (tmp_path / "yunet.onnx").write_bytes(content)
     with pytest.raises(UserError, match="face detector's file can't be used" if content else "settings of scene place"):
-        execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["blur=true", "face_model=yunet.onnx"])
+        imported(tmp_path, "blur=true", "face_model=yunet.onnx")
     assert not (tmp_path / "runs" / "tiny" / "place" / "import").exists()

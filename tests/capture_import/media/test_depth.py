@@ -9,9 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.capture_import.definition import STAGE
-from groundwalk.store import DataRoot, execute
-from tests.capture_import.capture_writers import WRITERS, Walk, make_walk, read_one, write_record3d
+from tests.capture_import.capture_writers import WRITERS, Walk, imported, make_walk, read_one, write_record3d
 from tests.known import read_picture, rows, there
 
 SHAPE = (12, 16)  # that of the images, 72x96
@@ -67,8 +65,8 @@ def test_the_real_phone_with_lidar_has_depth_of_all_images(shared_captures: Path
 
 
 def run(data: Path, *settings: str) -> tuple[Path, pd.DataFrame, pd.DataFrame]:
-    folder = execute(STAGE, "place", "tiny", DataRoot(data), list(settings))
-    return folder, pd.read_parquet(folder / "frames.parquet"), pd.read_parquet(folder / "rejects.parquet")
+    made = imported(data, *settings)
+    return made.folder, made["frames"], made["rejects"]
 
 
 @pytest.mark.parametrize("images", ["reference", "copy"])

@@ -14,7 +14,7 @@ from torch import nn
 from typer.testing import CliRunner
 
 from groundwalk.export.__main__ import app
-from groundwalk.export.phone import bundle, coreml, networks, quantisation
+from groundwalk.export.phone import bundle, networks, quantisation
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.phone.quantisation import HeldOut, Measured
 from groundwalk.export.regressor import load_regressor
@@ -230,4 +230,4 @@ def test_what_stays_in_float32_is_stored_in_8_bits(
 def test_core_ml_is_left_out_with_a_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "coremltools", None)
     trained = Trained(WithCovariance().eval(), ["Wall"], 40, 32, None, 32, False)
-    assert coreml.write_coreml(trained, 32, 32, tmp_path) == coreml.NOT_INSTALLED
+    assert networks.write_coreml(trained, 32, 32, tmp_path) == networks.NOT_INSTALLED

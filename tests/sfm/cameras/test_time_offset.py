@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.poses import Array, inverse
-from groundwalk.sfm.cameras.time_offset import offset_of_frames
+from groundwalk.sfm.cameras.motion import offset_of_frames
 
 FRAMES, RATE_HZ = 60, 2.0
 IMAGE_SD, VIO_SD = 3e-4, 1e-3

@@ -1,5 +1,6 @@
 """COLMAP's ways of mapping, with our options."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,8 @@ import pytest
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.lens import rational_of_fisheye
 from groundwalk.sfm.database import image_id, pose_of
-from groundwalk.sfm.mapping.mappers import from_poses, hierarchical, incremental
-from groundwalk.sfm.plugins import Mapper, MappingInput
+from groundwalk.sfm.mapping.mappers import from_poses, hierarchical_mapping, incremental_mapping
+from groundwalk.sfm.plugins import MappingInput
 
 
 def test_where_no_first_pair_is_so_exact_mapping_begins_within_colmaps_own_limit(
@@ -26,7 +27,7 @@ def test_where_no_first_pair_is_so_exact_mapping_begins_within_colmaps_own_limit
         return {}
 
     monkeypatch.setattr(pycolmap, "incremental_mapping", no_model)
-    assert incremental(given, tmp_path, lambda: None) == [] and limits == [1.0, 4.0]
+    assert incremental_mapping(given, tmp_path, lambda: None) == [] and limits == [1.0, 4.0]
 
 
 def test_poses_that_are_centimetres_off_are_a_start_that_images_correct(tmp_path: Path) -> None:
@@ -46,8 +47,8 @@ def test_poses_that_are_centimetres_off_are_a_start_that_images_correct(tmp_path
     assert np.abs(fit.points(found_T_cam[:, :3, 3]) - true_T_cam[:7, :3, 3]).max() < 1e-3
 
 
-@pytest.mark.parametrize("mapper", [incremental, hierarchical])
-def test_a_fisheye_lens_is_mapped(tmp_path: Path, mapper: Mapper) -> None:
+@pytest.mark.parametrize("mapper", [incremental_mapping, hierarchical_mapping])
+def test_a_fisheye_lens_is_mapped(tmp_path: Path, mapper: Callable[..., list[pycolmap.Reconstruction]]) -> None:
     lens = rational_of_fisheye([-0.03, 0.01, -0.005, 0.001], 1.05, 5e-5)
     options = pycolmap.SyntheticDatasetOptions()
     options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 12, 300

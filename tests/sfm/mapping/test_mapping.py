@@ -1,6 +1,11 @@
+"""Adjusted models: what is taken out, deregistered, held out or misplaced, and what isn't determined."""
+
+from collections.abc import Callable
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pycolmap
 import pytest
 from scipy.linalg import LinAlgError
@@ -8,6 +13,8 @@ from scipy.linalg import LinAlgError
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.model_adjustment import adjust_model
 from groundwalk.sfm.mapping.built import BuiltModel
+from groundwalk.sfm.mapping.held_out import choose_held_out
+from groundwalk.sfm.mapping.misplaced import misplaced_frames
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.sfm.tables import camera_tables
@@ -70,3 +77,52 @@ def _leave(model: pycolmap.Reconstruction, image_id: int, count: int) -> None:
 
 def _keypoints(model: pycolmap.Reconstruction) -> list[Array]:
     return [np.array([p.xy for p in model.image(row + 1).points2D]) for row in range(6)]
+
+
+def test_whole_tracks_are_left_out_and_about_the_share_of_them() -> None:
+    # Feature k of each of three frames is one track, matched in a triangle.
+    tracks = 4000
+    pairs = np.array([[0, 1], [0, 2], [1, 2]])
+    pair = np.repeat([0, 1, 2], tracks)
+    matches = np.tile(np.arange(tracks)[:, None], (3, 2))
+    out = choose_held_out(pair, matches, pairs, np.full(3, tracks), 0.05, 0).reshape(3, tracks)
+    assert (out[0] == out[1]).all()
+    assert (out[0] == out[2]).all()
+    assert out[0].mean() == pytest.approx(0.05, abs=0.015)
+
+
+def test_a_track_with_two_features_of_a_frame_is_never_left_out() -> None:
+    # Features 0 and 1 of frame 0 both match feature 0 of frame 1.
+    out = choose_held_out(
+        np.zeros(3, int), np.array([[0, 0], [1, 0], [2, 2]]), np.array([[0, 1]]), np.full(2, 3), 1.0, 0
+    )
+    assert out.tolist() == [False, False, True]
+
+
+PAIRS = np.array(list(combinations(range(9), 2)))
+
+
+def check_of(wrong: dict[tuple[int, int], float]) -> pd.DataFrame:
+    """Ten matches of each pair of nine frames, off by 0.1 px or as stated of pairs."""
+    a, b = np.repeat(PAIRS, 10, axis=0).T
+    errors = [wrong.get(pair, 0.1) for pair in zip(a.tolist(), b.tolist(), strict=True)]
+    return pd.DataFrame({"a": a, "b": b, "error_px": errors})
+
+
+@pytest.mark.parametrize(
+    ("is_wrong", "off_px", "rows"),
+    [
+        (lambda a, b: 2 in (a, b), 5.0, [2]),  # contradicted by all others
+        (lambda a, b: (a in (4, 5)) != (b in (4, 5)), 5.0, [4, 5]),  # two that agree with each other alone
+        (lambda a, b: 2 in (a, b), 0.5, [2]),  # the limit follows the errors of the other pairs
+        (lambda a, b: 2 in (a, b), 0.35, []),
+        (lambda a, b: (a, b) == (0, 1), 5.0, []),  # one wrong pair of many
+        (lambda a, b: True, 3.0, []),  # all are off
+    ],
+)
+def test_frames_that_most_of_their_matches_contradict(
+    is_wrong: Callable[[int, int], bool], off_px: float, rows: list[int]
+) -> None:
+    check = check_of({(a, b): off_px for a, b in PAIRS.tolist() if is_wrong(a, b)})
+    assert sorted(misplaced_frames(check)) == rows
+    assert misplaced_frames(check[:0]) == []

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from groundwalk.sfm.database import create_database, keypoint_counts, read_keypoints
-from groundwalk.sfm.pairs.features import extract_features
+from groundwalk.sfm.database import create_database, extract_features, keypoint_counts, read_keypoints
 from groundwalk.sfm.settings import SfmSettings
 
 NAMES = ["0.png", "1.png", "2.png"]

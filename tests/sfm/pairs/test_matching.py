@@ -11,8 +11,14 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import skew
-from groundwalk.sfm.database import create_database, has_results, image_id, image_names, read_pair_results
-from groundwalk.sfm.pairs.features import extract_features
+from groundwalk.sfm.database import (
+    create_database,
+    extract_features,
+    has_results,
+    image_id,
+    image_names,
+    read_pair_results,
+)
 from groundwalk.sfm.pairs.matched import MIN_INLIERS, are_verified, are_weak, checkpoint, matched_pairs, status_of
 from groundwalk.sfm.pairs.matching import guide_pairs, guided_matches, match_pairs, mutual_matches
 from groundwalk.sfm.settings import SfmSettings

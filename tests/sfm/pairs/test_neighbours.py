@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from groundwalk.sfm.database import create_database, image_id
 from groundwalk.sfm.mapping.held_out import VerifiedPairs
-from groundwalk.sfm.pairs.neighbours import contradicted_pairs
+from groundwalk.sfm.pairs.verification import contradicted_pairs
 from groundwalk.sfm.plugins import MappingInput
 from tests.known import cells
 

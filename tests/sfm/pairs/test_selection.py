@@ -1,4 +1,4 @@
-"""Which pairs a scene gets: recordings without VIO, with times and without."""
+"""Which pairs a scene gets: recordings without VIO, with times and without; and which frames retrieval finds."""
 
 from pathlib import Path
 
@@ -12,12 +12,12 @@ from groundwalk.sfm.database import create_database, image_id
 from groundwalk.sfm.pairs import selection
 from groundwalk.sfm.pairs.candidates import first_origins
 from groundwalk.sfm.pairs.odometry import Odometry, odometry
-from groundwalk.sfm.pairs.selection import Proposals, pairs_by_images, pairs_within_sessions
+from groundwalk.sfm.pairs.selection import Proposals, pairs_by_images, pairs_within_sessions, retrieval_pairs, vlad
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import Clock, PairOrigin
 
 _SETTINGS = SfmSettings(retrieval_pairs=4, sequence_pairs=2)
-_LANDMARKS, _SEEN = 400, 60
+_LANDMARKS, _SEEN, _STREET_FRAMES = 400, 60, 30
 
 
 class _Scene:
@@ -105,3 +105,36 @@ def test_of_many_frames_without_vio_the_similar_ones_of_the_recording_are_tried(
     # First and last frame are neighbours round the object, which only the images tell.
     ends = np.flatnonzero(np.isin(scene.place, (0, 49)))
     assert (similar == ends).all(axis=1).any()
+
+
+def _descriptors(seed: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """Two walks along the same street: frame i of each sees the landmarks around its place, noisily."""
+    rng, count, in_view = np.random.default_rng(seed), 600, 120
+    landmarks = rng.gamma(0.5, 30, (count, 128))
+    first = np.linspace(0, count - in_view, _STREET_FRAMES).astype(int)
+    images = [
+        np.clip(landmarks[start : start + in_view] + rng.normal(0, 8, (in_view, 128)), 0, 255).astype(np.uint8)
+        for start in np.concatenate([first, first])
+    ]
+    return images, np.repeat([0, 1], _STREET_FRAMES)
+
+
+def test_the_most_similar_frames_of_the_other_walk_are_those_of_the_same_place() -> None:
+    images, session = _descriptors(0)
+    pairs = retrieval_pairs(vlad(images, 0), session, 3)
+    assert (session[pairs[:, 0]] != session[pairs[:, 1]]).all()
+    assert np.array_equal(pairs, np.unique(pairs, axis=0))
+    assert len(pairs) <= 3 * len(images)
+    place = pairs % _STREET_FRAMES
+    assert np.mean(np.abs(place[:, 0] - place[:, 1]) <= 2) > 0.95
+    assert set(pairs.ravel()) == set(range(len(images)))
+
+
+def test_same_seed_same_descriptors_and_an_image_without_features_is_no_obstacle() -> None:
+    images, session = _descriptors(1)
+    images[3] = np.empty((0, 0), np.uint8)
+    once, again = vlad(images, 5), vlad(images, 5)
+    assert np.array_equal(once, again)
+    assert np.isfinite(once).all()
+    assert np.allclose(np.delete(np.linalg.norm(once, axis=1), 3), 1, atol=1e-5)
+    assert len(retrieval_pairs(once, session, 3)) > 0 == len(retrieval_pairs(once, np.zeros(len(images)), 5))

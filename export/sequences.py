@@ -1,0 +1,154 @@
+"""Sequences of images with poses: TUM RGB-D, EuRoC, 7-Scenes and Cambridge Landmarks. Camera axes are ours in all.
+
+TUM and EuRoC have a folder a session, as sessions have clocks of their own; 7-Scenes and Cambridge Landmarks a sequence
+for each session's part in training or test.
+"""
+
+from decimal import Decimal
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+
+from groundwalk.export.dataset import WORLD_T_MAP, Dataset, Images, number
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.poses import Array, inverse, quaternion_from_matrix, tq_from_pose
+from groundwalk.store import UserError
+
+_POSES = "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z []"
+_HEADER = "Visual Landmark Dataset V1\nImageFile, Camera Position [X Y Z W P Q R]\n\n"
+
+
+def write_tum(dataset: Dataset, folder: Path, images: Images) -> list[str]:
+    """TUM RGB-D, `groundtruth.txt` and `rgb.txt`; returns the frames' image paths.
+
+    Format: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats (seconds, position, quaternion x y z w,
+    camera to world). The world is the map. Images are as the phone took them, as this benchmark's own are: its tools
+    are given intrinsics and distortion apart from a sequence.
+    """
+    frames, placed = dataset.frames, [""] * len(dataset.frames)
+    position, quaternion = tq_from_pose(dataset.map_T_cam)
+    # Nine decimals of nanoseconds, which a float would round.
+    seconds = [f"{Decimal(int(t_ns)).scaleb(-9):.9f}" for t_ns in frames["t_ns"]]
+    for session_id, of_session in frames.groupby("session_id", sort=False):
+        name, rows = quote(str(session_id), safe=""), of_session.sort_values("t_ns", kind="stable").index
+        poses, listed = ["# timestamp tx ty tz qx qy qz qw"], ["# timestamp filename"]
+        for row in rows:
+            image = f"rgb/{seconds[row]}{dataset.images[row].suffix}"
+            dataset.images[row].place(folder / name / image, images)
+            placed[row] = f"{name}/{image}"
+            values = " ".join(number(v) for v in (*position[row], *quaternion[row]))
+            poses.append(f"{seconds[row]} {values}")
+            listed.append(f"{seconds[row]} {image}")
+        (folder / name).mkdir(exist_ok=True)
+        for file, lines in (("groundtruth.txt", poses), ("rgb.txt", listed)):
+            (folder / name / file).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return placed
+
+
+def write_euroc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
+    """EuRoC, `mav0/cam0` and `mav0/state_groundtruth_estimate0`; returns the frames' image paths. UserError where a
+    session has several cameras.
+
+    Format: https://projects.asl.ethz.ch/datasets/doku.php?id=kmavvisualinertialdatasets (nanoseconds, body to world,
+    quaternion w first). The body is the camera; the world has +z up. A session has one camera, so its images are those
+    of one pinhole. There is no IMU, and of the ground truth no velocity or bias.
+    """
+    placed, cameras = [""] * len(dataset.frames), dataset.cameras
+    position, quaternion = tq_from_pose(WORLD_T_MAP @ dataset.map_T_cam)
+    for session_id, of_session in dataset.frames.groupby("session_id", sort=True):
+        rows, own = of_session.sort_values("t_ns").index.to_numpy(), {cameras[row] for row in of_session.index}
+        if len(own) > 1:
+            raise UserError(
+                "EuRoC has one camera a session",
+                where=session_id,
+                found=f"{len(own)}: other lenses, or focal lengths from {min(c.fx for c in own):.0f} to "
+                f"{max(c.fx for c in own):.0f} px",
+                do="export as splat or tum, or record the session with one lens, without zoom",
+            )
+        session = folder / quote(str(session_id), safe="") / "mav0"
+        (session / "cam0" / "data").mkdir(parents=True)
+        (session / "state_groundtruth_estimate0").mkdir()
+        listed, poses = ["#timestamp [ns],filename"], [_POSES]
+        for row in rows:
+            t_ns = dataset.frames["t_ns"].iloc[row]
+            x, y, z, w = quaternion[row]
+            listed.append(f"{t_ns},{t_ns}.png")
+            poses.append(",".join([str(t_ns), *map(number, (*position[row], w, x, y, z))]))
+            image = session / "cam0" / "data" / f"{t_ns}.png"
+            placed[row] = image.relative_to(folder).as_posix()
+            dataset.images[row].place(image, images)
+        (session / "cam0" / "data.csv").write_text("\n".join(listed) + "\n", encoding="ascii")
+        (session / "cam0" / "sensor.yaml").write_text(_sensor(cameras[rows[0]]), encoding="ascii")
+        (session / "state_groundtruth_estimate0" / "data.csv").write_text("\n".join(poses) + "\n", encoding="ascii")
+    return placed
+
+
+def _sensor(camera: Camera) -> str:
+    focal_and_centre = ", ".join(map(number, (camera.fx, camera.fy, camera.cx, camera.cy)))
+    return (
+        "sensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n"
+        f"  data: [{', '.join(map(number, np.eye(4).ravel()))}]\n"
+        f"resolution: [{camera.width}, {camera.height}]\ncamera_model: pinhole\nintrinsics: [{focal_and_centre}]\n"
+        "distortion_model: radial-tangential\ndistortion_coefficients: [0.0, 0.0, 0.0, 0.0]\n"
+    )
+
+
+def write_seven_scenes(dataset: Dataset, folder: Path, images: Images) -> list[str]:
+    """7-Scenes, `seq-01/frame-000000.color.png` with `.pose.txt`, and the splits; returns the frames' image paths.
+
+    Format: https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes (4x4, camera to world). It has no
+    intrinsics: each frame's 3x3 matrix lies beside it in `.intrinsics.txt`. It has no distortion either, so images that
+    have some are those of a pinhole. There are no depth images. Images are PNG, so JPEGs are decoded and written anew.
+    """
+    cameras, placed = dataset.cameras, [""] * len(dataset.frames)
+    splits: dict[bool, list[str]] = {False: [], True: []}
+    for index, (test, rows) in enumerate(dataset.sequences(), start=1):
+        splits[test].append(f"sequence{index}\n")
+        sequence = folder / f"seq-{index:02d}"
+        sequence.mkdir()
+        for count, row in enumerate(rows):
+            stem = f"frame-{count:06d}"
+            (sequence / f"{stem}.pose.txt").write_text(_rows(dataset.map_T_cam[row]), encoding="ascii")
+            (sequence / f"{stem}.intrinsics.txt").write_text(_rows(cameras[row].matrix), encoding="ascii")
+            dataset.images[row].place(sequence / f"{stem}.color.png", images)
+            placed[row] = f"{sequence.name}/{stem}.color.png"
+    for test, name in ((False, "TrainSplit.txt"), (True, "TestSplit.txt")):
+        (folder / name).write_text("".join(splits[test]), encoding="ascii")
+    return placed
+
+
+def _rows(matrix: Array) -> str:
+    return "".join("\t".join(number(v) for v in row) + "\n" for row in matrix)
+
+
+def write_cambridge(dataset: Dataset, folder: Path, images: Images) -> list[str]:
+    """Cambridge Landmarks, `seq1/frame00000.jpg`, the lists and `reconstruction.nvm`; returns the frames' image paths.
+
+    Format: https://www.repository.cam.ac.uk/handle/1810/251342 (position, then the world-to-camera rotation as
+    quaternion w x y z) and http://ccwu.me/vsfm/doc.html#nvm. The .nvm holds the cameras and no points. Its readers take
+    the principal point to be the image's centre and none of the distortion that it has a place for, so images with
+    distortion are those of such a pinhole. Of other images' intrinsics it holds the mean of fx and fy.
+    """
+    position = dataset.map_T_cam[:, :3, 3]
+    quaternion = quaternion_from_matrix(inverse(dataset.map_T_cam)[:, :3, :3])[:, [3, 0, 1, 2]]
+    placed = [""] * len(dataset.frames)
+    lists: dict[bool, list[str]] = {False: [], True: []}
+    for index, (test, rows) in enumerate(dataset.sequences(), start=1):
+        for count, row in enumerate(rows):
+            placed[row] = f"seq{index}/frame{count:05d}{dataset.images[row].suffix}"
+            dataset.images[row].place(folder / placed[row], images)
+            values = " ".join(number(v) for v in (*position[row], *quaternion[row]))
+            lists[test].append(f"{placed[row]} {values}\n")
+    for test, name in ((False, "dataset_train.txt"), (True, "dataset_test.txt")):
+        (folder / name).write_text(_HEADER + "".join(lists[test]), encoding="ascii")
+
+    order = np.argsort(placed)
+    focal = dataset.frames[["fx", "fy"]].to_numpy(float).mean(axis=1)
+    cameras = [
+        " ".join([placed[row], *(number(v) for v in (focal[row], *quaternion[row], *position[row], 0.0)), "0"])
+        for row in order
+    ]
+    nvm = "\n".join(["NVM_V3", "", str(len(cameras)), *cameras, "", "0", "", "0", ""])
+    (folder / "reconstruction.nvm").write_text(nvm, encoding="ascii")
+    return placed
