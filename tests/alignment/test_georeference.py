@@ -99,7 +99,7 @@ def test_positions_give_a_map_of_images_alone_scale_and_vertical(walks: Walks) -
     """And the georeference's bounds have the scale's error in them still."""
     scene = walks.make(seed=2, frames=120)
     gps = fixes(scene, 2)
-    scene.frames[[name for name in scene.frames if name.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    scene.frames[[c for c in scene.frames.columns if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
     frames = scene.frames.assign(clock="boot")
 
     def placed_and_found(given: GivenFrame) -> tuple[PlacedComponent, Georeference]:

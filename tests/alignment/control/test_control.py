@@ -158,7 +158,7 @@ def test_a_survey_gives_a_map_of_images_alone_scale_and_vertical(place: tuple[Sc
     """And half of its points, by a fit of the others with a scale of their own, judge it."""
     scene, xyz = replace(place[0], frames=place[0].frames.copy()), place[1]
     judged(scene, xyz, tmp_path)
-    scene.frames[[name for name in scene.frames if name.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    scene.frames[[c for c in scene.frames.columns if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
     table = {"points": "survey.csv", "images": "seen.csv", "sd_m": SD_M, "pixel_sd": 0.5}
     (settings,) = controls_of([table])
     points = find_points(settings, scene.frames, tmp_path, Path)
@@ -286,7 +286,7 @@ def test_align_writes_tables_and_picture(data: DataRoot) -> None:
     assert (align / "control.png").is_file()
     # Without VIO it is the survey that makes the map metric and upright.
     imported = data.run("tiny", "Place", "import")
-    frames[[name for name in frames if name.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    frames[[c for c in frames.columns if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
     write_table(imported / "frames.parquet", frames, schema("import", "frames"))
     manifest = json.loads((imported / "manifest.json").read_text())
     write_json(imported / "manifest.json", manifest | {"outputs": output_hashes(imported)})
