@@ -444,7 +444,7 @@ def test_nerfstudio_poses_are_opengl_cameras_in_a_world_with_z_up(scene: DataRoo
         right, up, back, position = np.linalg.solve(applied, np.array(frame["transform_matrix"])).T[:, :3]
         found[frame_id] = make_pose(np.stack([right, -up, -back], axis=1), position)
         given = [frame[key] for key in ("fl_x", "fl_y", "cx", "cy")]
-        assert given == truth.loc[frame_id, INTRINSICS].to_list()
+        assert given == truth.loc[frame_id, INTRINSICS].to_numpy(float).tolist()
         assert (out / frame["file_path"]).is_file()
     _assert_same(scene, found)
     named = {split: content[f"{split}_filenames"] for split in ("train", "val", "test")}
@@ -672,7 +672,7 @@ def test_formats_without_distortion_get_images_of_pinholes(scene: DataRoot, name
             image, camera = _path(raw), there(raw.intrinsics)
             frame_id = frame_of[image.relative_to(out).as_posix()]
             found[frame_id] = there(raw.vio_T_cam)
-            stated = listed.loc[frame_id, INTRINSICS].to_numpy(float).tolist()
+            stated = listed.loc[frame_id, INTRINSICS].to_numpy(float)
             assert stated == pytest.approx([camera.fx, camera.fy, camera.cx, camera.cy])
             assert camera.distortion == (0.0,) * 4
             assert _dots_off_px(image, found[frame_id], stated, points[frame_id]) < 0.2
