@@ -444,7 +444,7 @@ def test_nerfstudio_poses_are_opengl_cameras_in_a_world_with_z_up(scene: DataRoo
         right, up, back, position = np.linalg.solve(applied, np.array(frame["transform_matrix"])).T[:, :3]
         found[frame_id] = make_pose(np.stack([right, -up, -back], axis=1), position)
         given = [frame[key] for key in ("fl_x", "fl_y", "cx", "cy")]
-        assert given == truth.loc[frame_id, INTRINSICS].to_list()
+        assert given == truth.loc[frame_id, INTRINSICS].to_numpy(float).tolist()
         assert (out / frame["file_path"]).is_file()
     _assert_same(scene, found)
     named = {split: content[f"{split}_filenames"] for split in ("train", "val", "test")}
@@ -649,9 +649,9 @@ def _write_frames(scene: DataRoot, **columns: int) -> None:
 def _dots_off_px(image: Path, world_T_cam: Array, intrinsics: Iterable[float], points: Array) -> float:
     """How far the image's dots are from where a pinhole of fx, fy, cx, cy projects the points, at most."""
     pixels = read_picture(image, cv2.IMREAD_GRAYSCALE).astype(float)
-    off = []
-    xyz = transform(inverse(world_T_cam), points)
-    for u, v in Camera(*SIZE, *intrinsics).project(xyz[:, :2] / xyz[:, 2:]):
+    fx, fy, cx, cy = intrinsics
+    off, xyz = [], transform(inverse(world_T_cam), points)
+    for u, v in Camera(*SIZE, fx, fy, cx, cy).project(xyz[:, :2] / xyz[:, 2:]):
         columns, rows = (np.arange(int(c) - 7, int(c) + 8) for c in (u, v))
         window = np.maximum(pixels[np.ix_(rows, columns)] - 8, 0)
         at = np.array([window.sum(0) @ (columns + 0.5), window.sum(1) @ (rows + 0.5)]) / window.sum()
@@ -672,11 +672,11 @@ def test_formats_without_distortion_get_images_of_pinholes(scene: DataRoot, name
             image, camera = _path(raw), there(raw.intrinsics)
             frame_id = frame_of[image.relative_to(out).as_posix()]
             found[frame_id] = there(raw.vio_T_cam)
-            stated = listed.loc[frame_id, INTRINSICS].to_list()
+            stated = listed.loc[frame_id, INTRINSICS].to_numpy(float)
             assert stated == pytest.approx([camera.fx, camera.fy, camera.cx, camera.cy])
             assert camera.distortion == (0.0,) * 4
             assert _dots_off_px(image, found[frame_id], stated, points[frame_id]) < 0.2
-            before = _truth(scene).loc[frame_id, INTRINSICS]
+            before = _truth(scene).loc[frame_id, INTRINSICS].to_numpy(float)
             assert _dots_off_px(_image(scene, frame_id), found[frame_id], before, points[frame_id]) > 1
     _assert_same(scene, found)
 
@@ -691,7 +691,8 @@ def with_lens(scene: DataRoot) -> DataRoot:
     truth, dataset = _truth(scene), load_dataset(scene, "tiny", "Place", reads_images=False)
     model, to_map = pycolmap.Reconstruction(), dataset.models[0].map_S_sfm
     for row, (frame_id, pose) in enumerate(zip(truth.index, to_map.inverse().poses(dataset.map_T_cam), strict=True), 1):
-        lens = Camera(*SIZE, *truth.loc[frame_id, INTRINSICS].to_numpy(float), LENS)
+        fx, fy, cx, cy = truth.loc[frame_id, INTRINSICS].to_numpy(float)
+        lens = Camera(*SIZE, fx, fy, cx, cy, LENS)
         corner = lens.unproject(np.array([[1.0, 1.0]]))
         beyond = transform(dataset.map_T_cam[row - 1], [[*corner[0], 1.0]])
         pixels = lens.project(np.vstack([SEEN, corner]))
