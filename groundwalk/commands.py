@@ -1,4 +1,4 @@
-"""The commands that aren't one package's: `judge`, `run`, `scenes` and `docs`."""
+"""The commands that aren't one package's: `judge`, `run`, `compare` and `scenes`."""
 
 import os
 import re
@@ -233,15 +233,6 @@ def scenes(data: DataOption = Path("data")) -> None:
     console.print(table)
     for number, fault in enumerate(faults, start=1):
         console.print(f"\n({number}) {fault}", soft_wrap=True)
-
-
-@app.command()
-def docs(out: Annotated[Path, typer.Option(help="The folder of the docs.")] = Path("docs")) -> None:
-    """Write the generated pages of the docs: reference of tables, settings, commands and checks."""
-    from groundwalk.reference import write_reference
-
-    for path in write_reference(out):
-        progress.stdout.print(str(path))
 
 
 def _captures(data: DataRoot, scene: str) -> str:
