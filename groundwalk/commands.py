@@ -1,4 +1,4 @@
-"""The commands that aren't one package's: `judge`, `run`, `compare` and `scenes`."""
+"""The commands `judge`, `run`, `compare`, `scenes` and `formats`."""
 
 import os
 import re
@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
 from rich.table import Table
 
 from groundwalk.closing import closing_lines
 from groundwalk.pipeline import USER_ERROR, Reported, run_steps, steps
 from groundwalk.store import progress
 from groundwalk.store.__main__ import link_captures
-from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
+from groundwalk.store.cli import DataOption, ProfileOption, SceneOption
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import STOPPED, link_or_copy, partial_folder, read_json, written_aside
 from groundwalk.store.hints import view_command
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
     from groundwalk.reports.comparison import ComparedRun
 
-app = new_app("Whole scenes.")
 VERDICT = "verdict.json"
 _JUDGED_IN = "demo"  # the profile: its settings of sfm take minutes on two cores
 _EXIT = {"accepted": 0, "undecided": 3, "refused": 4}
@@ -41,7 +41,6 @@ CapturesOption = Annotated[
 UntilOption = Annotated[str, typer.Option(help="The last stage to run.", autocompletion=lambda: list(STAGES))]
 
 
-@app.command()
 def run(
     scene: SceneOption,
     profile: ProfileOption = "demo",
@@ -65,7 +64,6 @@ def run(
         progress.console.print(f"look at {report / 'page.html'}, or: {view_command(root.run(profile, scene))}")
 
 
-@app.command()
 def judge(
     folder: Annotated[
         Path, typer.Argument(help="A folder of phone captures, or one capture: a folder, a video, an archive.")
@@ -124,7 +122,6 @@ def judge(
     raise typer.Exit(_EXIT[verdict["verdict"]])
 
 
-@app.command()
 def compare(
     runs: Annotated[list[str], typer.Argument(help="Two runs or more: scenes' names, or folders of runs.")],
     out: Annotated[Path, typer.Option(help="The page to write.")] = Path("compare.html"),
@@ -200,7 +197,6 @@ def _write_unreadable(out: Path, name: str, stopped: dict[str, Any]) -> None:
         progress.stdout.print(str(out / file))
 
 
-@app.command()
 def scenes(data: DataOption = Path("data")) -> None:
     """List profiles, and scenes with their captures and the stages that are finished.
 
@@ -233,6 +229,16 @@ def scenes(data: DataOption = Path("data")) -> None:
     console.print(table)
     for number, fault in enumerate(faults, start=1):
         console.print(f"\n({number}) {fault}", soft_wrap=True)
+
+
+def formats() -> None:
+    """List the capture formats that import reads."""
+    from groundwalk.capture_import.formats import FORMATS
+
+    table = Table("name", "format", "gives", "recognised by", box=None, pad_edge=False)
+    for format in FORMATS.values():
+        table.add_row(format.id, format.label, format.meaning, format.recognised_by)
+    Console(highlight=False).print(table)
 
 
 def _captures(data: DataRoot, scene: str) -> str:
