@@ -1,4 +1,4 @@
-"""`groundwalk check-truth`: a simulated scene's ground truth against the simulator's poses.
+"""`python -m groundwalk.alignment check-truth`: a simulated scene's ground truth against the simulator's poses.
 
 A check for people and benchmarks: no stage reads the true poses.
 """

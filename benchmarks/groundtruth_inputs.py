@@ -20,17 +20,17 @@ from groundwalk.store.true_poses import true_poses_of
 PROFILE = "demo"
 
 
-def run_stage(command: str, scene: str, root: DataRoot, *settings: str, anew: bool = False) -> Cost:
-    """Run a stage of a scene, or `simulate`, as a process of its own, `anew` even if it's up to date; what it cost."""
+def run_stage(module: str, scene: str, root: DataRoot, *settings: str, anew: bool = False) -> Cost:
+    """Run a stage of a scene as a process of its own, `anew` even if it's up to date; what it cost."""
     sets = [word for setting in settings for word in ("--set", setting)]
     arguments = ["--scene", scene, "--profile", PROFILE, "--data", str(root.root), *sets, *["--force"] * anew]
-    return measure([sys.executable, "-m", "groundwalk", command, *arguments], root.run(PROFILE, scene, command))
+    return measure([sys.executable, "-m", f"groundwalk.{module}", *arguments], root.run(PROFILE, scene, module))
 
 
 def simulated(scene: str, root: DataRoot, *settings: str) -> None:
     """A simulated scene up to import."""
-    run_stage("simulate", scene, root, *settings)
-    run_stage("import", scene, root)
+    run_stage("simulation", scene, root, *settings)
+    run_stage("capture_import", scene, root)
 
 
 def true_poses(scene: str, root: DataRoot) -> Array:

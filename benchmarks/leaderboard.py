@@ -20,15 +20,14 @@ import typer
 from numpy.typing import NDArray
 
 from benchmarks.results import busy_machine, markdown_table
+from groundwalk.fusion.definition import FuseSettings
 from groundwalk.fusion.evaluation.evaluate import joined_walks
 from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, stacked
 from groundwalk.fusion.evaluation.summary import figures
 from groundwalk.fusion.evaluation.validation import ERRORS, ahead_of
-from groundwalk.fusion.files.parquet import Files
-from groundwalk.fusion.files.walks import Inputs
+from groundwalk.fusion.files.walks import Files, Inputs
 from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.methods.localiser import MethodOptions
-from groundwalk.fusion.settings import FuseSettings
 from groundwalk.fusion.walk import Walk, known, with_odometry
 from groundwalk.scoring import errors as scoring_errors
 from groundwalk.store import DataRoot, UserError

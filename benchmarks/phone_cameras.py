@@ -117,11 +117,11 @@ def run_phone(phone: Phone, work: Path) -> dict[str, Any]:
     settings += [] if phone.frame_fraction is None else [f"frame_fraction={phone.frame_fraction}"]
     simulated(phone.scene, root, *settings)
     figures: dict[str, Any] = {}
-    for stage, module in (("sfm", "sfm"), ("align", "alignment")):
-        folder = root.run(PROFILE, phone.scene, stage)
+    for module in ("sfm", "alignment"):
+        folder = root.run(PROFILE, phone.scene, module)
         arguments = ["--scene", phone.scene, "--profile", PROFILE, "--data", str(root.root)]
         status, cost = run_timed(
-            [sys.executable, "-m", "groundwalk", stage, *arguments], folder, work / f"{module}.log"
+            [sys.executable, "-m", f"groundwalk.{module}", *arguments], folder, work / f"{module}.log"
         )
         figures |= {f"{module}_cpu_s": cost.cpu_s, f"{module}_wall_s": cost.wall_s, f"{module}_mib": cost.peak_mib}
         if status:
@@ -141,7 +141,7 @@ def run_walk(number: int, work: Path) -> dict[str, Any]:
     if refusal := _mapped(data, lambda folder: write_capture(folder, capture)):
         return figures | refusal
     arguments = ["--scene", "Case", "--profile", SMALL, "--data", str(data.root)]
-    status, _ = run_timed([sys.executable, "-m", "groundwalk", "align", *arguments], work, work / "alignment.log")
+    status, _ = run_timed([sys.executable, "-m", "groundwalk.alignment", *arguments], work, work / "alignment.log")
     if status:
         figures |= _cameras("Case", SMALL, data)
         return figures | {"refused": (work / "alignment.log").read_text(encoding="utf-8")[-2000:]}

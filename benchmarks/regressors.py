@@ -119,7 +119,7 @@ def trained(work: Path, data: DataRoot, scene: str, profile: str, seed: int, set
     if not scores.exists():
         sets = [word for setting in settings for word in ("--set", setting)]
         options = ["--scene", scene, "--profile", profile, "--data", str(work), "--seed", str(seed), *sets]
-        cost = measure([sys.executable, "-m", "groundwalk", "train", *options], run)
+        cost = measure([sys.executable, "-m", "groundwalk.training", *options], run)
         predictions = read_table(run / "predictions.parquet", schema("train", "predictions"))
         truth = read_table(run.parent / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
         figures = errors_and_honesty(predictions, truth) | {"training": cost.cpu_s}

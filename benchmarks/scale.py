@@ -27,7 +27,7 @@ from groundwalk.store.manifests import load_manifest
 app = new_app(__doc__ or "")
 
 _SCENE = "Church"
-_STAGES = ("import", "sfm", "align")
+_MODULES = {"import": "capture_import", "sfm": "sfm", "align": "alignment"}
 _TEST_SHARE = 3  # one of so many frames
 
 
@@ -35,10 +35,10 @@ def run_size(frames: int, root: DataRoot) -> dict[str, Any]:
     """Costs of the stages and errors of the ground truth for so many frames."""
     test = frames // _TEST_SHARE
     sizes = [f"train_frames={frames - test}", f"test_frames={test}", "frame_fraction=1.0"]
-    run_stage("simulate", _SCENE, root, *sizes)
+    run_stage("simulation", _SCENE, root, *sizes)
     row: dict[str, Any] = {"frames": frames}
-    for stage in _STAGES:
-        cost = run_stage(stage, _SCENE, root)
+    for stage, module in _MODULES.items():
+        cost = run_stage(module, _SCENE, root)
         row |= {f"{stage} s": cost.wall_s, f"{stage} cpu s": cost.cpu_s, f"{stage} MiB": cost.peak_mib}
     truth, targets, _ = ground_truth_targets(_SCENE, root)
     row |= {target.name: target.value for target in targets}
@@ -62,7 +62,7 @@ def _percent(share: float | None) -> str:
 def _table(rows: pd.DataFrame) -> Iterable[list[str]]:
     yield [
         *("frames", "with ground truth", "A, B, C", "models", "position cm: median, p95", "rotation deg"),
-        *("inside 95 % bounds", *(f"{stage} s (processor), MiB" for stage in _STAGES), "load"),
+        *("inside 95 % bounds", *(f"{stage} s (processor), MiB" for stage in _MODULES), "load"),
     ]
     for row in rows.to_dict("records"):
         yield [
@@ -73,7 +73,7 @@ def _table(rows: pd.DataFrame) -> Iterable[list[str]]:
             f"{row['position error, median']:.2f}, {row['position error, 95th percentile']:.2f}",
             f"{row['rotation error, median']:.3f}",
             _percent(row.get("position within 95 % bounds, whole")),
-            *(f"{row[f'{s} s']:.0f} ({row[f'{s} cpu s']:.0f}), {row[f'{s} MiB']:.0f}" for s in _STAGES),
+            *(f"{row[f'{s} s']:.0f} ({row[f'{s} cpu s']:.0f}), {row[f'{s} MiB']:.0f}" for s in _MODULES),
             f"{row['load']:.1f}",
         ]
 
@@ -98,7 +98,7 @@ def main(
     if (published := out / "scale.csv").is_file():
         rows = pd.concat([pd.read_csv(published), rows]).drop_duplicates("frames", keep="last")
     rows = rows.sort_values("frames")
-    costs = [("time", f"{s} s") for s in _STAGES] + [("memory", f"{s} MiB") for s in _STAGES]
+    costs = [("time", f"{s} s") for s in _MODULES] + [("memory", f"{s} MiB") for s in _MODULES]
     growth = ", ".join(f"{column.split()[0]}'s {what} {_exponent(rows, column)}" for what, column in costs)
     sections = [
         "# Size of one place",

@@ -9,11 +9,11 @@ from typing import Annotated
 
 import typer
 
+from groundwalk.fusion.definition import FuseSettings
 from groundwalk.fusion.evaluation import evaluate as evaluation
 from groundwalk.fusion.evaluation import sweep as sweeping
-from groundwalk.fusion.files.parquet import Files
+from groundwalk.fusion.files.walks import Files
 from groundwalk.fusion.recording import blueprint, record
-from groundwalk.fusion.settings import FuseSettings
 from groundwalk.fusion.walk import with_odometry
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.cli import SetOption

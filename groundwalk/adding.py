@@ -16,7 +16,7 @@ import typer
 from groundwalk.cli import stage_of
 from groundwalk.pipeline import Step, run_steps
 from groundwalk.store import progress
-from groundwalk.store.cli import DataOption, ProfileOption, SceneOption
+from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import CHANGE, KEY_FILE, link_or_copy, partial_folder, read_json, swap_in, write_json
 from groundwalk.store.hints import run_command
@@ -28,12 +28,14 @@ from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.tables import read_table
 
+app = new_app("Recordings into a finished ground truth, or out of it.")
 _STAGES = ("import", "sfm", "align")
 RefineOption = Annotated[
     bool, typer.Option("--refine", help="Make everything anew, old poses too; features and matches are reused.")
 ]
 
 
+@app.command()
 def add(
     recording: Annotated[Path, typer.Argument(help="A recording, or a folder of them; it is copied.")],
     scene: SceneOption,
@@ -51,6 +53,7 @@ def add(
     _change(DataRoot(data), profile, scene, recording, "", refine)
 
 
+@app.command()
 def remove(
     session: Annotated[str, typer.Argument(help="The recording: the name of its folder or file.")],
     scene: SceneOption,

@@ -3,7 +3,6 @@
 The table below says where each command is; its module, with the libraries that it needs, is imported when it is run.
 """
 
-import pkgutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
@@ -20,26 +19,24 @@ from groundwalk.store.settings import DataRoot
 
 @dataclass(frozen=True)
 class Command:
-    """A command: its name, one line of help, and where in groundwalk it is: `<package>.definition:STAGE` of a stage, a
-    function whose parameters are its options, or a typer application that has no other command."""
+    """A command: its name, one line of help, and where it is.
+
+    `module`, in groundwalk, has a typer application `app`, of which this is the subcommand `subcommand`, or the only
+    command; or it has a pipeline stage `STAGE`, where `is_stage`.
+    """
 
     name: str
     help: str
-    where: str
-
-    @property
-    def is_stage(self) -> bool:
-        return self.where.endswith(":STAGE")
+    module: str
+    subcommand: str | None = None
+    is_stage: bool = False
 
     def load(self, *, for_completion: bool = False) -> Any:
         """The command itself. For completion a stage is left out: all stages have the same options."""
-        app = new_app("")
         if not self.is_stage:
-            found = self._found()
-            if isinstance(found, typer.Typer):
-                return get_command(found)
-            app.command(self.name)(found)
-            return get_command(app)
+            command: Any = get_command(import_module(f"groundwalk.{self.module}").app)
+            return command.commands[self.subcommand] if self.subcommand else command
+        app = new_app("")
         shown: dict[str, Any] = {}
         if not for_completion:
             stage = self.stage()
@@ -53,28 +50,25 @@ class Command:
 
     def stage(self) -> Any:
         """The stage that a stage's command runs."""
-        return self._found()
-
-    def _found(self) -> Any:
-        return pkgutil.resolve_name(f"groundwalk.{self.where}")
+        return import_module(f"groundwalk.{self.module}").STAGE
 
 
 COMMANDS = {
     "Whole scenes": [
-        Command("judge", "Say which frames of a capture can be trusted: a page.", "commands:judge"),
-        Command("run", "Run all stages of a scene in order, as far as needed.", "commands:run"),
-        Command("campaign", "Run many scenes, on this machine or a cluster.", "campaign:app"),
-        Command("add", "Add a recording to a finished ground truth.", "adding:add"),
-        Command("remove", "Take a recording out of a ground truth.", "adding:remove"),
-        Command("compare", "Compare runs: settings, and figures beyond noise.", "commands:compare"),
-        Command("scenes", "List scenes, profiles and finished stages.", "commands:scenes"),
-        Command("link-captures", "Use a folder of phone captures as a scene.", "store.__main__:link_captures"),
-        Command("simulate", "Simulate captures of a scene that has none.", "simulation.__main__:app"),
-        Command("view", "Open a scene's recordings in the Rerun viewer.", "store.__main__:view"),
-        Command("clean", "Remove a scene's results and simulated captures.", "store.__main__:clean"),
+        Command("judge", "Say which frames of a capture can be trusted: a page.", "commands", "judge"),
+        Command("run", "Run all stages of a scene in order, as far as needed.", "commands", "run"),
+        Command("campaign", "Run many scenes, on this machine or a cluster.", "campaign"),
+        Command("add", "Add a recording to a finished ground truth.", "adding", "add"),
+        Command("remove", "Take a recording out of a ground truth.", "adding", "remove"),
+        Command("compare", "Compare runs: settings, and figures beyond noise.", "commands", "compare"),
+        Command("scenes", "List scenes, profiles and finished stages.", "commands", "scenes"),
+        Command("link-captures", "Use a folder of phone captures as a scene.", "store.__main__", "link-captures"),
+        Command("simulate", "Simulate captures of a scene that has none.", "simulation.__main__"),
+        Command("view", "Open a scene's recordings in the Rerun viewer.", "store.__main__", "view"),
+        Command("clean", "Remove a scene's results and simulated captures.", "store.__main__", "clean"),
     ],
     "Stages": [
-        Command(name, help_text, f"{package}.definition:STAGE")
+        Command(name, help_text, f"{package}.definition", is_stage=True)
         for name, package, help_text in (
             ("import", "capture_import", "Import phone captures as checked frames with VIO poses."),
             ("sfm", "sfm", "Structure from motion with COLMAP."),
@@ -86,16 +80,17 @@ COMMANDS = {
         )
     ],
     "Captures, exports and checks": [
-        Command("inspect", "Show what a capture holds, without import.", "inspecting:inspect"),
-        Command("formats", "List the capture formats.", "commands:formats"),
-        Command("export", "Export ground truth, or a regressor for a phone.", "export.__main__:app"),
-        Command("locate", "Localise images in a map, or by a regressor.", "localisation.locate:locate"),
-        Command("evaluate", "Fuse predictions from Parquet files; measure errors.", "fusion.commands:evaluate"),
-        Command("sweep", "Try other thresholds of the MobileARLoc rule.", "fusion.commands:sweep"),
+        Command("inspect", "Show what a capture holds, without import.", "inspecting"),
+        Command("formats", "List the capture formats.", "capture_import.__main__", "formats"),
+        Command("export", "Export ground truth, or a regressor for a phone.", "export.__main__"),
+        Command("locate", "Localise images in a map, or by a regressor.", "localisation.locate"),
+        Command("evaluate", "Fuse predictions from Parquet files; measure errors.", "fusion.__main__", "evaluate"),
+        Command("sweep", "Try other thresholds of the MobileARLoc rule.", "fusion.__main__", "sweep"),
         Command(
             "check-truth",
             "Compare a simulated scene's ground truth with its true poses.",
-            "alignment.check_truth:check_truth",
+            "alignment.__main__",
+            "check-truth",
         ),
     ],
 }

@@ -8,6 +8,7 @@ import typer
 from groundwalk.capture_import.capture import Session
 from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.capture_import.media.reading import ImageReader
+from groundwalk.store.cli import new_app
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import written_aside
 from groundwalk.store.text import printable
@@ -15,8 +16,11 @@ from groundwalk.store.text import printable
 if TYPE_CHECKING:
     from groundwalk.capture_page import Look
 
+app = new_app("What a capture holds.")
 
-def inspect(
+
+@app.command("inspect")
+def inspect_command(
     path: Annotated[Path, typer.Argument(help="A capture: a folder of recordings, or one recording.")],
     format: Annotated[str, typer.Option(help="The capture's format, as `formats` lists it.")] = "auto",
     html: Annotated[

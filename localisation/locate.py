@@ -14,15 +14,18 @@ from groundwalk.runtime.bundle import Prediction, open_bundle
 from groundwalk.runtime.queries import Query, file_query, image_files, numbers
 from groundwalk.store import UserError, progress
 from groundwalk.store.choices import Refusal
+from groundwalk.store.cli import new_app
 from groundwalk.store.files import make_writable, written_aside
 
 if TYPE_CHECKING:
     from groundwalk.localisation.localisers import FileLocaliser
     from groundwalk.localisation.results import QueryResult
 
+app = new_app("New images in a map's file, or by a regressor's bundle.")
 Row = dict[str, Any]
 
 
+@app.command()
 def locate(
     images: Annotated[Path, typer.Argument(help="An image, or a folder of images.")],
     map_: Annotated[

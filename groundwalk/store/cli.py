@@ -119,6 +119,13 @@ def new_app(help_text: str, **options: Any) -> App:
     return App(help=help_text, **{"add_completion": False, **fixed, **options})
 
 
+def stage_app(stage: "Stage[Any]") -> App:
+    """The command line of a stage: without a subcommand it runs the stage."""
+    app = new_app(stage.help, epilog=settings_help(stage.name, stage.settings))
+    app.callback(invoke_without_command=True)(stage_command(stage.name, lambda: stage))
+    return app
+
+
 def stage_command(
     name: str, load: "Callable[[], Stage[Any]]", after: Callable[[DataRoot], None] = lambda data: None
 ) -> Callable[..., None]:
@@ -126,6 +133,7 @@ def stage_command(
     to import, and `after` is called when it has ended, well or not."""
 
     def main(
+        context: typer.Context,
         scene: SceneOption = "",
         profile: ProfileOption = "demo",
         set_: SetOption = None,
@@ -133,6 +141,8 @@ def stage_command(
         force: Annotated[bool, typer.Option("--force", help="Run anew, even if the artefact is up to date.")] = False,
         data: DataOption = Path("data"),
     ) -> None:
+        if context.invoked_subcommand is not None:
+            return
         if not scene:
             raise UserError("no scene was named", do=f"add --scene <name>, for example --scene Church (stage {name})")
         # Here, as it takes a second, and more than `--help`.

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from typer.testing import CliRunner
 
+from groundwalk.alignment.__main__ import app
 from groundwalk.alignment.check_truth import compare_with_bounds
 from groundwalk.alignment.definition import STAGE
 from groundwalk.alignment.uncertainty import SharedSd, shared_covariance
-from groundwalk.cli import app
 from groundwalk.geometry.poses import make_pose, yaw_rotation
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.manifests import load_manifest

@@ -8,10 +8,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from groundwalk import pipeline
@@ -63,6 +65,14 @@ def options(command: Any) -> dict[str, Any]:
     return {name: (p.default, p.help) for p in command.params for name in getattr(p, "opts", [])}
 
 
+@pytest.fixture(scope="module")
+def packages() -> dict[str, Any]:
+    """The applications of the packages' own command lines, by package."""
+    paths = [path for path in ROOT.glob("*/__main__.py") if path.parent.name != "groundwalk"]
+    assert len(paths) >= 9
+    return {p.parent.name: get_command(import_module(f"groundwalk.{p.parent.name}.__main__").app) for p in paths}
+
+
 def test_help_lists_every_command_and_loads_no_library() -> None:
     printed, libraries = loaded_by(["--help"])
     for command in all_commands():
@@ -70,12 +80,21 @@ def test_help_lists_every_command_and_loads_no_library() -> None:
     assert not libraries & (HEAVY - {"pydantic"})
 
 
-def test_stages_are_commands_with_the_same_options_for_completion() -> None:
-    commands = [command for command in all_commands() if command.is_stage]
-    assert [(c.name, c.stage().name) for c in commands] == [(stage, stage) for stage in STAGES]
-    for command in commands:
-        loaded = command.load()
-        assert options(loaded) == options(command.load(for_completion=True)) and loaded.help == command.stage().help
+def test_each_package_s_command_is_one_of_groundwalk_s(packages: dict[str, Any]) -> None:
+    """The same command objects' options, under names that `groundwalk --help` lists."""
+    modules = {(command.module, command.subcommand): command for command in all_commands()}
+    of_stages = 0
+    for package, application in packages.items():
+        for name, command in getattr(application, "commands", {}).items():
+            assert options(modules[f"{package}.__main__", name].load()) == options(command)
+        if f"{package}.definition" in {module for module, _ in modules}:
+            stage = modules[f"{package}.definition", None]
+            assert options(stage.load()) == options(application) == options(stage.load(for_completion=True))
+            assert stage.load().help == application.help
+            of_stages += 1
+    assert of_stages == len(STAGES)
+    assert [(c.name, c.stage().name) for c in all_commands() if c.is_stage] == [(stage, stage) for stage in STAGES]
+    assert options(modules["simulation.__main__", None].load()) == options(packages["simulation"])
 
 
 @pytest.mark.parametrize(

@@ -62,10 +62,10 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(packages: list[Path], data: Path, stage: str, *arguments: str, status: int = 0) -> str:
-    """Run a stage, another command, or all stages, as a user does; what it says, with its words one space apart."""
+    """Run a stage, or a command of its, or all stages, as a user does; what it says, with its words one space apart."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *map(str, packages)])}
-    command = [sys.executable, "-m", "groundwalk", "run" if stage == "all" else stage, *arguments]
-    command += ["--scene", "Room", "--profile", "tiny", "--data", str(data)]
+    module = ["groundwalk", "run"] if stage == "all" else [f"groundwalk.{stage}"]
+    command = [sys.executable, "-m", *module, *arguments, "--scene", "Room", "--profile", "tiny", "--data", str(data)]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=data)
     assert done.returncode == status, done.stderr[-3000:]
     return " ".join(done.stderr.split())
@@ -125,7 +125,7 @@ def data(finished: tuple[Path, str], tmp_path: Path) -> Path:
 def test_formats_of_packages_are_used_and_broken_ones_named(packages: list[Path], room: Path, tmp_path: Path) -> None:
     data = shutil.copytree(room, tmp_path / "data", symlinks=True)
     configure(data, EXAMPLE)
-    said = run(packages, data, "import")
+    said = run(packages, data, "capture_import")
     assert set(table(data, "import", "sessions")["format"]) == {"walk_csv"}
     for point, reason in (
         ("no_module = groundwalk_broken.no_such_module:FORMAT", "can't be imported"),
@@ -181,19 +181,19 @@ def test_a_broken_package_is_named_and_the_rest_goes_on(packages: list[Path], da
     text = EXAMPLE.replace('models = ["mean_colour"]', train).replace('methods = ["raw", "keep_first"]', methods)
     text += "\n[train.regressors.fails_in_training]\nbatch = 4\n"
     configure(data, text)
-    said = {stage: run(packages, data, stage) for stage in ("train", "fuse")}
+    said = {stage: run(packages, data, stage) for stage in ("training", "fusion")}
 
     def named(stage: str, point: str, reason: str) -> None:
         assert f"package groundwalk-broken 0.3, entry point {point}" in said[stage]
         assert reason in said[stage]
 
     point = "groundwalk.regressors:"
-    named("train", f"{point} PN", "its id is taken: package groundwalk")
-    named("train", f"{point} no_capability", "missing 1 required keyword-only argument: 'multi_scene'")
-    named("train", f"{point} other_id", "its id is 'wrong_shape', not the entry point's name")
-    named("train", f"{point} wrong_shape", "forward's position_B3 is of shape (2, 2), not (2, 3) for 2 images")
-    named("train", f"{point} fails_in_training", "the batch is too large for me")
-    named("fuse", "groundwalk.fusion_methods: wrong_covariance", "covariance for frame 0 has shape (3, 3)")
+    named("training", f"{point} PN", "its id is taken: package groundwalk")
+    named("training", f"{point} no_capability", "missing 1 required keyword-only argument: 'multi_scene'")
+    named("training", f"{point} other_id", "its id is 'wrong_shape', not the entry point's name")
+    named("training", f"{point} wrong_shape", "forward's position_B3 is of shape (2, 2), not (2, 3) for 2 images")
+    named("training", f"{point} fails_in_training", "the batch is too large for me")
+    named("fusion", "groundwalk.fusion_methods: wrong_covariance", "covariance for frame 0 has shape (3, 3)")
 
     assert set(table(data, "train", "models")["model"]) == {"mean_colour"}
     assert set(table(data, "fuse", "methods")["method"]) == {"raw", "keep_first"}

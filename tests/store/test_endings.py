@@ -16,7 +16,7 @@ import pytest
 
 from groundwalk.store import DataRoot, StageRun, UserError, execute
 from groundwalk.store.child import ProcessDied, Report, Task, in_child, preload
-from groundwalk.store.cli import new_app, stage_command
+from groundwalk.store.cli import stage_app
 from groundwalk.store.registry import Lazy
 from groundwalk.store.signals import Stopped, handlers_kept, signals_raise
 from tests.known import filled
@@ -55,19 +55,13 @@ def open_many(r: StageRun[NoSettings]) -> None:
         files.append((r.scratch / str(number)).open("w"))
 
 
-def start_here(run: Callable[[StageRun[NoSettings]], None], data: DataRoot, *options: str) -> None:
-    """As the command line of a stage that runs so."""
-    app = new_app("")
-    app.command()(stage_command("import", lambda: stage(run)))
-    app(["--scene", "place", "--profile", "tiny", "--data", str(data.root), *options])
-
-
 def start(
     run: str, data: DataRoot, limits: Callable[[], None] | None = None, options: tuple[str, ...] = ()
 ) -> subprocess.Popen[str]:
     program = (
         "from tests.store import test_endings\n"
-        f"test_endings.start_here(test_endings.{run}, test_endings.DataRoot({str(data.root)!r}), *{options})"
+        f"test_endings.stage_app(test_endings.stage(test_endings.{run}))("
+        f"['--scene', 'place', '--profile', 'tiny', '--data', {str(data.root)!r}, *{options}])"
     )
     return subprocess.Popen(
         [sys.executable, "-c", program],
@@ -176,7 +170,7 @@ def test_every_error_of_the_disk_anywhere_is_a_sentence(
         with monkeypatch.context() as patched, pytest.raises(SystemExit) as ended:
             if call != LIBRARY:
                 patched.setattr(call, fail)
-            start_here(run, data)
+            stage_app(stage(run))(["--scene", "place", "--profile", "tiny", "--data", str(data.root)])
         said = capsys.readouterr().err
         assert ended.value.code == 2 and re.search(rf"where:    (/disk/x|{data.root}/)", said), said
         assert ("MiB free" in said) == (number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
@@ -224,7 +218,7 @@ def test_a_stop_that_python_hides_in_another_error_is_still_a_stop(
             raise RuntimeError("Error calling __set_name__") from stopped
 
     with pytest.raises(SystemExit) as ended:
-        start_here(hidden, data)
+        stage_app(stage(hidden))(["--scene", "place", "--profile", "tiny", "--data", str(data.root)])
     assert ended.value.code == 143 and capsys.readouterr().err.endswith("resumes from the last checkpoint\n")
 
 

@@ -13,13 +13,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from groundwalk.cli import app
 from groundwalk.fusion import commands
+from groundwalk.fusion.__main__ import app
+from groundwalk.fusion.definition import FuseSettings
 from groundwalk.fusion.evaluation.evaluate import Results, evaluate, report_lines
 from groundwalk.fusion.evaluation.sweep import VALUES
-from groundwalk.fusion.files.parquet import Files
-from groundwalk.fusion.files.walks import Inputs, evaluated
-from groundwalk.fusion.settings import FuseSettings
+from groundwalk.fusion.files.walks import Files, Inputs, evaluated
 from groundwalk.store import UserError
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.files import write_json

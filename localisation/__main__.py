@@ -1,0 +1,9 @@
+"""Command line of the localise stage."""
+
+from groundwalk.localisation.definition import STAGE
+from groundwalk.store.cli import stage_app
+
+app = stage_app(STAGE)
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,9 @@
+"""`python -m groundwalk.sfm --help`."""
+
+from groundwalk.sfm.definition import STAGE
+from groundwalk.store.cli import stage_app
+
+app = stage_app(STAGE)
+
+if __name__ == "__main__":
+    app()
