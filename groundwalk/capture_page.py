@@ -114,13 +114,17 @@ def _session_part(look: Look, place: int) -> Markup:
     session = look.session
     with style.applied():
         plots = style.inline_svg(_plots(look), f"session-{place}")
-    seconds = [(image.t_ns - session.frames[0].t_ns) * 1e-9 for image in session.images]
-    moments = [f"{t:.1f} s" if session.recording.clock.has_times else "" for t in seconds]
-    sources = [image.source for image in session.images]
     sampled = zip(look.thumbnails, look.sampled, strict=True)
-    sheet = [(thumbnail, sources[row], moments[row] or sources[row]) for thumbnail, row in sampled]
+    sheet = [(thumbnail, session.images[row].source, _moment(session, row)) for thumbnail, row in sampled]
     more = {"sheet": sheet, "path": _path(look), "has_up": look.has_up, "plots": plots}
     return fragment("session.html.j2", session=session, facts=_facts(look), **more)
+
+
+def _moment(session: Session, row: int) -> str:
+    image = session.images[row]
+    if not session.recording.clock.has_times:
+        return image.source
+    return f"{(image.t_ns - session.frames[0].t_ns) * 1e-9:.1f} s"
 
 
 def _facts(look: Look) -> Iterator[tuple[str, str, str]]:
