@@ -151,7 +151,7 @@ bench-blurring: $(installed) #! What blurring of faces and plates finds, and wha
 	@$(py) -m benchmarks.import_blurring $(if $(wildcard ../shared),--captures ../shared/captures)
 
 docs: $(installed) #! Write the generated pages of docs/reference: tables, settings, commands, checks
-	@$(py) -m groundwalk docs
+	@$(py) -m benchmarks.reference
 
 docs-site: $(installed) #! Build the documentation as a site, strictly, into build/site
 	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet --strict

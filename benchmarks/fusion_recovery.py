@@ -21,10 +21,10 @@ import typer
 from numpy.typing import NDArray
 
 from benchmarks import fusion_inputs as inputs
+from benchmarks.leaderboard import RULE, within_bounds
 from benchmarks.regressor_errors.model import REGRESSORS
 from benchmarks.results import circumstances, markdown_table, write_page
 from groundwalk.fusion.evaluation.fuse import Run, fuse, pose_errors
-from groundwalk.fusion.evaluation.leaderboard import RULE, within_bounds
 from groundwalk.fusion.methods import METHODS, resolve_options
 from groundwalk.fusion.methods.localiser import Status
 from groundwalk.fusion.walk import Walk, known

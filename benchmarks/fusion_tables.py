@@ -1,4 +1,4 @@
-"""The fusion benchmark's walks as tables in a folder, for `groundwalk leaderboard`.
+"""The fusion benchmark's walks as tables in a folder, for `python -m benchmarks.leaderboard`.
 
 `python -m benchmarks.fusion_tables OUT` writes simulated walks; with `--predictions FOLDER` also published predictions
 of real regressors (benchmarks/real_predictions.py) at each number of frames a second that `--every` names, and with

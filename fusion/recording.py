@@ -16,7 +16,7 @@ from groundwalk.fusion.walk import known
 from groundwalk.geometry.poses import Array, quaternion_from_matrix
 from groundwalk.store import colours
 from groundwalk.store.colours import localiser_colours
-from groundwalk.store.recording import FRAME_TIMELINE, TIMELINE, UP_AXIS, log_images, log_path
+from groundwalk.store.recording import FRAME_TIMELINE, TIMELINE, UP_AXIS, log_images, log_path, tabbed
 
 STATUS_COLOURS = {
     Status.RELIABLE: colours.APR,
@@ -78,9 +78,7 @@ def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> r
         tabs.append(
             rrb.Horizontal(rrb.Vertical(paths, image, row_shares=[2, 1]), plots, column_shares=[3, 2], name=name)
         )
-    return rrb.Blueprint(
-        rrb.Tabs(*tabs), rrb.TimePanel(timeline=FRAME_TIMELINE, state="collapsed"), collapse_panels=True
-    )
+    return tabbed(tabs)
 
 
 _FUSED_COLOURS = "ground truth green, aligned odometry orange, the others as on the right"

@@ -1,25 +1,22 @@
 """Stage fuse: every method on every model's predictions, their errors and figures."""
 
+from functools import partial
+
 import pandas as pd
 
+from groundwalk.fusion.definition import FuseSettings
 from groundwalk.fusion.evaluation.evaluate import evaluate, report_lines
 from groundwalk.fusion.evaluation.fuse import stacked
 from groundwalk.fusion.files.walks import Inputs
 from groundwalk.fusion.recording import blueprint, record
-from groundwalk.fusion.settings import FuseSettings
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.hints import setting_of
 
 
 def run(r: StageRun[FuseSettings]) -> None:
+    frames = {leaf: r.dataset_frames(leaf) for leaf in r.leaves}
     inputs = [
-        Inputs(
-            leaf,
-            r.dataset_frames(leaf),
-            r.read("align", "ground_truth", scene=leaf),
-            _predictions(r, leaf),
-            _made_here(r, leaf),
-        )
+        Inputs(leaf, frames[leaf], r.read("align", "ground_truth", leaf), _predictions(r, leaf), _made_here(r, leaf))
         for leaf in r.leaves
     ]
     with r.step("fuse"):
@@ -30,15 +27,11 @@ def run(r: StageRun[FuseSettings]) -> None:
         r.figure(name, count)
     for error in results.left_out:
         r.figure(f"left out: {error.what}", f"{error.details['where']}: {error.reason}")
+    files = {leaf: frames[leaf]["image"].map(partial(r.image_path, scene=leaf)) for leaf in r.leaves}
     with r.step("recording"), r.recording(blueprint(results.fused, results.gates)) as stream:
-        record(stream, results.fused, results.gates, {leaf: _with_files(r, leaf) for leaf in r.leaves})
+        record(stream, results.fused, results.gates, {leaf: frames[leaf].assign(file=files[leaf]) for leaf in r.leaves})
     for line in report_lines(results):
         r.say(line)
-
-
-def _with_files(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:
-    frames = r.dataset_frames(leaf)
-    return frames.assign(file=frames["image"].map(lambda image: r.image_path(image, leaf)))
 
 
 def _predictions(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:

@@ -17,7 +17,7 @@ from groundwalk.geometry.rates import rates_at
 from groundwalk.geometry.rows import evenly
 from groundwalk.reports import style
 from groundwalk.reports.grids import html_table, plain_grid
-from groundwalk.reports.templating import plain_page
+from groundwalk.reports.templating import fragment, plain_page
 from groundwalk.reports.walk_map import data_address, draw
 from groundwalk.store.choices import QualityClass, Rejected
 
@@ -111,27 +111,12 @@ def capture_page(name: str, looks: Sequence[Look], lines: Sequence[str]) -> str:
 
 def _session_part(look: Look, place: int) -> Markup:
     session = look.session
-    facts = Markup().join(
-        Markup("<div><b>{}</b><span>{}</span><small>{}</small></div>").format(*fact) for fact in _facts(look)
-    )
-    sheet = Markup().join(
-        Markup('<figure><img src="{}" alt="{}"><figcaption>{}</figcaption></figure>').format(
-            Markup(address), session.images[row].source, _moment(session, row)
-        )
-        for row, address in zip(look.sampled, look.thumbnails, strict=True)
-    )
-    drawing = Markup(_path(look))
-    above = "from above" if look.has_up else "across its two longest sides, as up isn't known"
-    walk = Markup('<figure class="map images">{}<figcaption>Path {}; a mark an image.</figcaption></figure>')
     with style.applied():
-        plots = Markup(style.inline_svg(_plots(look), f"session-{place}"))
-    return (
-        Markup('<h2>{}</h2><div class="facts">{}</div><div class="sheet">{}</div>').format(
-            session.session_id, facts, sheet
-        )
-        + (walk.format(drawing, above) if drawing else Markup("<p>No poses, and so no path.</p>"))
-        + Markup('<div class="pictures"><figure class="picture">{}</figure></div>').format(plots)
-    )
+        plots = style.inline_svg(_plots(look), f"session-{place}")
+    sampled = zip(look.thumbnails, look.sampled, strict=True)
+    sheet = [(thumbnail, session.images[row].source, _moment(session, row)) for thumbnail, row in sampled]
+    more = {"sheet": sheet, "path": _path(look), "has_up": look.has_up, "plots": plots}
+    return fragment("session.html.j2", session=session, facts=_facts(look), **more)
 
 
 def _moment(session: Session, row: int) -> str:

@@ -85,7 +85,6 @@ COMMANDS = {
         Command("export", "Export ground truth, or a regressor for a phone.", "export.__main__"),
         Command("locate", "Localise images in a map, or by a regressor.", "localisation.locate"),
         Command("evaluate", "Fuse predictions from Parquet files; measure errors.", "fusion.__main__", "evaluate"),
-        Command("leaderboard", "Compare all fusion methods scene by scene.", "fusion.__main__", "leaderboard"),
         Command("sweep", "Try other thresholds of the MobileARLoc rule.", "fusion.__main__", "sweep"),
         Command(
             "check-truth",
@@ -93,7 +92,6 @@ COMMANDS = {
             "alignment.__main__",
             "check-truth",
         ),
-        Command("docs", "Write the generated pages of the docs.", "commands", "docs"),
     ],
 }
 

@@ -1,23 +1,22 @@
-"""The commands that aren't one package's: `judge`, `run`, `scenes` and `docs`."""
+"""The commands that aren't one package's: `judge`, `run`, `compare` and `scenes`."""
 
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
 
-from groundwalk.closing import closing_lines
 from groundwalk.pipeline import USER_ERROR, Reported, run_steps, steps
 from groundwalk.store import progress
 from groundwalk.store.__main__ import link_captures
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import STOPPED, link_or_copy, partial_folder, read_json, written_aside
+from groundwalk.store.files import STOPPED, link_or_copy, partial_folder, read_json, write_json, written_aside
 from groundwalk.store.hints import view_command
 from groundwalk.store.inputs import capture_files
 from groundwalk.store.runs import runs_in
@@ -63,6 +62,35 @@ def run(
             progress.console.print(line)
     if (report / "page.html").is_file():  # a group of scenes may have none of its own
         progress.console.print(f"look at {report / 'page.html'}, or: {view_command(root.run(profile, scene))}")
+
+
+def closing_lines(verdict: dict[str, Any]) -> Iterator[str]:
+    """What a run has come to, by its verdict.json: a line each for ground truth, VIO, the structure localiser that
+    stands first and the regressor that does, fused where it was."""
+    headline, unit = verdict["headline"], verdict["length_unit"]
+    small, per_unit = ("cm", 100) if unit == "m" else (unit, 1)
+    text = (
+        f"{verdict['verdict']}, {100 * headline['trusted_share']:.0f} % of {headline['frames']} frames of class A or B"
+    )
+    if (sd := headline["position_sd_median"]) is not None:
+        text += f", half of them to ± {per_unit * sd:.2g} {small}"
+    if (scale_sd := headline["scale_sd"]) is not None:
+        text += f"; scale ± {100 * scale_sd:.2g} %"
+    if (true := verdict["true_errors"]) is not None:
+        stated = f"± {per_unit * true['position_stated']:.2g} {small} are stated with scale and vertical"
+        text += f"; {per_unit * true['position']:.2g} {small} from the simulator's truth, where {stated}"
+    yield f"ground truth: {text}"
+    if drifts := verdict["vio_error_by_distance"]:
+        drift = min(drifts, key=lambda row: abs(row["distance_m"] - 5))
+        over = f"{drift['median_percent']:.2g} % off over {drift['distance_m']:g} m (median)"
+        yield f"VIO: {over}, {headline['vio_jumps']} jumps"
+    for kind, fused in (("structure localiser", False), ("regressor", True)):
+        known = [row for row in verdict["localisers"] if row["kind"] == kind and row["median_position"] is not None]
+        for best in sorted(known, key=lambda row: (row["fused"] != fused, row["median_position"]))[:1]:
+            figures = f"median {best['median_position']:g} {unit}, {best['median_rotation_deg']:g}°"
+            alone = {row["model"]: row["median_position"] for row in known if best["fused"] and not row["fused"]}
+            text = f"; alone {alone[best['model']]:g} {unit}" if best["model"] in alone else ""
+            yield f"best {kind}: {best['localiser']}: {figures}, {best['coverage']:g} % have a pose{text}"
 
 
 @app.command()
@@ -192,12 +220,25 @@ def _compared(run_name: str, name: str, profile: str, data: Path) -> "ComparedRu
     )
 
 
-def _write_unreadable(out: Path, name: str, stopped: dict[str, Any]) -> None:
-    from groundwalk.reports.unreadable import write_unreadable
+def _write_unreadable(folder: Path, name: str, stopped: dict[str, Any]) -> None:
+    """Write page.html and verdict.json of a capture that import refuses; `stopped` has `what`, `where`, `expected`,
+    `found` and `do` of the error."""
+    from markupsafe import Markup
 
-    write_unreadable(out, name, {key: str(text) for key, text in stopped.items() if text is not None})
+    from groundwalk.reports.details import problems
+    from groundwalk.reports.grids import html_table
+    from groundwalk.reports.templating import plain_page
+    from groundwalk.reports.verdict import State, problem_of
+
+    problem, what = problem_of({key: str(text) for key, text in stopped.items() if text is not None}), stopped["what"]
+    lead = Markup('<p class="verdict refused"><strong>Unreadable.</strong> {}.</p>').format(what)
+    page = plain_page(name, "capture", [lead, html_table(problems(name, [problem]))])
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "page.html").write_text(page, encoding="utf-8")
+    verdict = {"scene": name, "verdict": State.UNREADABLE.value, "why": what, "problems": [vars(problem)], "frames": []}
+    write_json(folder / VERDICT, verdict)
     for file in ("page.html", VERDICT):
-        progress.stdout.print(str(out / file))
+        progress.stdout.print(str(folder / file))
 
 
 @app.command()
@@ -233,15 +274,6 @@ def scenes(data: DataOption = Path("data")) -> None:
     console.print(table)
     for number, fault in enumerate(faults, start=1):
         console.print(f"\n({number}) {fault}", soft_wrap=True)
-
-
-@app.command()
-def docs(out: Annotated[Path, typer.Option(help="The folder of the docs.")] = Path("docs")) -> None:
-    """Write the generated pages of the docs: reference of tables, settings, commands and checks."""
-    from groundwalk.reference import write_reference
-
-    for path in write_reference(out):
-        progress.stdout.print(str(path))
 
 
 def _captures(data: DataRoot, scene: str) -> str:

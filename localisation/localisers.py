@@ -84,9 +84,7 @@ class FileLocaliser(Localiser, Protocol):
     """A localiser out of a file of its own."""
 
     @property
-    def scene(self) -> str:
-        """The scene of the map."""
-        ...
+    def scene(self) -> str: ...
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,6 @@ _ROUGHLY, _WELL = 3, 8
 
 
 def write_localiser(path: Path, localiser: "MapLocaliser") -> None:
-    """Write the localiser's map."""
     write_map(path, localiser.map)
 
 

@@ -15,10 +15,9 @@ from groundwalk.localisation.localisers import LOCALISERS
 from groundwalk.localisation.results import QueryResult
 from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED
 from groundwalk.store.images import read_image
-from groundwalk.store.recording import UP_AXIS, log_camera, log_path, set_time
+from groundwalk.store.recording import FRAME_TIMELINE, UP_AXIS, log_camera, log_path, set_time, tabbed
 from groundwalk.store.tables import poses_of
 
-_FRAMES = "frame"
 _MOST_QUERIES = 120
 _IMAGE_SIDE = 480
 
@@ -45,7 +44,7 @@ def blueprint(models: list[str]) -> rrb.Blueprint:
         )
         for model in models
     ]
-    return rrb.Blueprint(rrb.Tabs(*tabs), rrb.TimePanel(timeline=_FRAMES, state="collapsed"), collapse_panels=True)
+    return tabbed(tabs)
 
 
 def record(
@@ -68,7 +67,7 @@ def record(
     true = poses_of(truth.set_index("frame_id").reindex(queries["frame_id"]), "map_cam")
     for row in evenly(len(queries), _MOST_QUERIES).tolist() if answers else []:
         frame = queries.iloc[row]
-        stream.set_time(_FRAMES, sequence=row)
+        stream.set_time(FRAME_TIMELINE, sequence=row)
         set_time(stream, int(frame["t_ns"] - starts[frame["session_id"]]))
         image = read_image(image_path(frame["image"]))
         factor = min(1.0, _IMAGE_SIDE / max(image.shape[:2]))

@@ -7,8 +7,6 @@ from groundwalk.store.choices import Split
 
 
 class LocaliseSettings(StructureSettings):
-    """Settings of the localise stage."""
-
     models: tuple[str, ...] = Field(
         default_factory=lambda: tuple(i for i in LOCALISERS.builtin if LOCALISERS[i].by_default),
         description="the structure localisers to build, by id; none where the list is empty",

@@ -8,8 +8,6 @@ from groundwalk.store.registry import Lazy
 
 
 class ReportSettings(Settings):
-    """Settings of the report stage."""
-
     published: bool = Field(True, description="print the paper's numbers beside ours where it has the same scene")
 
 

@@ -1,12 +1,13 @@
 """A table as it is read, and the same as Markdown, LaTeX and HTML."""
 
-import html
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
 from markupsafe import Markup
+
+from groundwalk.reports.templating import fragment
 
 PUBLISHED, OURS = "published", "ours"
 _PAGE_COLUMNS = 11  # of numbers, side by side on a page
@@ -165,66 +166,5 @@ def html_table(grid: Grid | None) -> Markup:
     them apart. One that is wider than a page has its columns as rows, a table a block: no cell is out of sight."""
     if grid is None:
         return Markup()
-    out = [f'<figure class="table" id="{grid.key}">']
-    out.append(f"<figcaption><strong>{_text(grid.title)}.</strong> {_text(grid.caption)}</figcaption>")
-    if len(grid.columns) > _PAGE_COLUMNS and max(len(block.rows) for block in grid.blocks) < len(grid.columns):
-        out += [_transposed(grid, block) for block in grid.blocks]
-    else:
-        out.append(_upright(grid))
-    if grid.notes:
-        out.append('<ul class="notes">' + "".join(f"<li>{_text(note)}</li>" for note in grid.notes) + "</ul>")
-    out.append("</figure>")
-    return Markup("\n".join(out) + "\n")
-
-
-def _upright(grid: Grid) -> str:
-    out = ["<table><thead>"]
-    if any(group for group, _ in grid.groups):
-        spans = "".join(f'<th scope="colgroup" colspan="{width}">{_text(group)}</th>' for group, width in grid.groups)
-        out.append(f'<tr class="groups">{spans}</tr>')
-    names = [name for _, name in grid.columns]
-    heads = "".join(f'<th scope="col"{_label(i, grid)}>{_heading(name)}</th>' for i, name in enumerate(names))
-    out.append(f"<tr>{heads}</tr></thead>")
-    for block in grid.blocks:
-        out.append("<tbody>")
-        if block.title:
-            out.append(f'<tr class="block"><th scope="rowgroup" colspan="{len(names)}">{_text(block.title)}</th></tr>')
-        for row in block.rows:
-            cells = "".join(_cell(cell, names[i], _label(i, grid)) for i, cell in enumerate(row.cells))
-            out.append(f'<tr class="{row.source}{" average" if row.average else ""}">{cells}</tr>')
-        out.append("</tbody>")
-    return "\n".join([*out, "</table>"])
-
-
-def _transposed(grid: Grid, block: Block) -> str:
-    """A block with its rows side by side, named by their labels."""
-    heads = [", ".join(row.cells[: grid.labels]) for row in block.rows]
-    out = [f'<table class="turned"><caption>{_text(block.title)}</caption><thead><tr><td></td>']
-    out += [f'<th scope="col">{_heading(head)}</th>' for head in heads]
-    out.append("</tr></thead><tbody>")
-    previous = ""
-    for index, (group, name) in list(enumerate(grid.columns))[grid.labels :]:
-        if group != previous:
-            out.append(f'<tr class="block"><th scope="rowgroup" colspan="{len(heads) + 1}">{_text(group)}</th></tr>')
-        previous = group
-        cells = [_cell(r.cells[index], head, f' class="{r.source}"') for r, head in zip(block.rows, heads, strict=True)]
-        out.append(f'<tr><th scope="row" class="label">{_heading(name)}</th>{"".join(cells)}</tr>')
-    return "".join([*out, "</tbody></table>"])
-
-
-def _cell(text: str, heading: str, kind: str) -> str:
-    """A cell, which on a narrow page names its column itself."""
-    return f'<td{kind} data-of="{html.escape(heading)}">{_text(text)}</td>'
-
-
-def _label(index: int, grid: Grid) -> str:
-    return ' class="label"' if index < grid.labels else ""
-
-
-def _heading(name: str) -> str:
-    """A heading wraps between words, but not inside MS-T."""
-    return _text(name).replace("-", "\N{NON-BREAKING HYPHEN}")
-
-
-def _text(text: str) -> str:
-    return html.escape(text, quote=False)
+    is_turned = len(grid.columns) > _PAGE_COLUMNS and max(len(b.rows) for b in grid.blocks) < len(grid.columns)
+    return fragment("table.html.j2", grid=grid, is_turned=is_turned)

@@ -78,7 +78,6 @@ def new_figure(panels: int, height: float, **options: Any) -> tuple[Figure, list
 
 
 def model_colours(scene: SceneInputs) -> dict[str, str]:
-    """The colour of each localiser of a scene."""
     models = dict.fromkeys([*scene.models, *scene.localisers["model"], *scene.cards["model"]])
     return {name: _hex(colour) for name, colour in colours.localiser_colours(map(str, models)).items()}
 

@@ -91,7 +91,6 @@ class Frames:
         return len(self.index_N)
 
     def select(self, rows: NDArray[np.int64]) -> "Frames":
-        """The frames of these rows, in their order."""
         return replace(self, **{name: values[rows] for name, values in vars(self).items() if name != "cache"})
 
     def seen(self, view: View) -> Rotation:
@@ -111,7 +110,6 @@ class Frames:
         return position, np.asarray(Rotation.from_matrix(levelled).as_quat())
 
     def poses(self, device: torch.device) -> PoseBatch:
-        """All poses as tensors."""
         return pose_batch(self.position_N3, self.quaternion_N4, self.scene_N, device)
 
     def centre_crops(self, view: View, device: torch.device) -> Tensor:
@@ -171,7 +169,6 @@ def pose_batch(
     scene_N: NDArray[np.int64],
     device: torch.device,
 ) -> PoseBatch:
-    """Poses as float32 tensors on the device."""
     return PoseBatch(
         torch.tensor(position_N3, dtype=torch.float32, device=device),
         torch.tensor(quaternion_N4, dtype=torch.float32, device=device),

@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.files import sha256_of
-from groundwalk.store.hints import setting_of
 from groundwalk.store.registry import AN_ID, is_id
+from groundwalk.store.tables import pose_columns, read_parquet
 from groundwalk.training.settings import TrainSettings
 
-_POSE = [f"map_cam_{part}" for part in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")]
+_POSE = pose_columns("map_cam")
 _NEEDED = ["model", "frame_id", *_POSE]
 _OPTIONAL = ["picked_scene", "covariance", "inference_ms"]
 _MIN_QUATERNION, _MAX_QUATERNION = 0.2, 5.0  # what a network puts out may not be normalised; degrees are far from it
@@ -63,16 +61,7 @@ def imported_card(r: StageRun[TrainSettings], name: str, rows: pd.DataFrame, ori
 
 
 def _read(path: Path) -> pd.DataFrame:
-    try:
-        table: pd.DataFrame = pq.read_table(path).to_pandas(ignore_metadata=True)
-    except FileNotFoundError:
-        raise UserError(
-            "a file of predictions isn't there", where=path, do=f"correct {setting_of('train', 'predictions')}"
-        ) from None
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise UserError(
-            "a file of predictions can't be read", where=path, expected="a Parquet table", found=error
-        ) from None
+    table = read_parquet(path)
     missing = [column for column in _NEEDED if column not in table.columns]
     if missing or table.empty:
         fault = f"no {', '.join(missing)}" if missing else "no rows"

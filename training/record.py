@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 
-import cv2
 import numpy as np
 import pandas as pd
 import rerun as rr
@@ -10,12 +9,11 @@ import rerun.blueprint as rrb
 
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import colours
-from groundwalk.store.recording import UP_AXIS, log_camera, log_path, set_time
+from groundwalk.store.recording import FRAME_TIMELINE, UP_AXIS, log_camera, log_path, set_time, tabbed
 from groundwalk.store.registry import Colour
 from groundwalk.store.tables import poses_of
 from groundwalk.training.data import ImageCache
 
-FRAMES = "frame"  # sessions one after the other, however far apart their clocks
 _MAX_IMAGES = 500  # keeps the file small; cameras and errors of all frames are there
 _JPEG_QUALITY = 80
 
@@ -45,11 +43,7 @@ def blueprint(scenes: list[str], models: list[str]) -> rrb.Blueprint:
                 name=scene,
             )
         )
-    return rrb.Blueprint(
-        rrb.Tabs(*tabs),
-        rrb.TimePanel(timeline=FRAMES, state="collapsed"),
-        collapse_panels=True,
-    )
+    return tabbed(tabs)
 
 
 def record(
@@ -78,7 +72,7 @@ def record(
             log_path(stream, path, map_T_cam[at, :3, 3], colours.GROUND_TRUTH)
         for number, row in enumerate(rows):
             frame = frames.iloc[row]
-            stream.set_time(FRAMES, sequence=number)
+            stream.set_time(FRAME_TIMELINE, sequence=number)
             set_time(stream, int(frame["t_ns"]) - starts[row])
             if np.isfinite(map_T_cam[row]).all():
                 log_camera(stream, f"/{scene}/ground_truth/now", map_T_cam[row], frame, colours.GROUND_TRUTH, 1.0)
@@ -88,7 +82,10 @@ def record(
                 log_camera(stream, f"/{scene}/{model}/now", estimate[row], frame, shades[model], 1.0)
                 _log_errors(stream, f"/{scene}", model, map_T_cam[row], estimate[row])
             if number % every == 0:
-                stream.log(f"/{scene}/image", _centre_crop_jpeg(cache[int(row)], crop))
+                image = cache[int(row)]
+                top, left = (image.shape[0] - crop) // 2, (image.shape[1] - crop) // 2
+                seen = rr.Image(image[top : top + crop, left : left + crop])
+                stream.log(f"/{scene}/image", seen.compress(_JPEG_QUALITY))
         for model, estimate in estimates.items():
             for name in ("position_error_m", "rotation_error_deg"):
                 series = rr.SeriesLines(colors=shades[model], names=model)
@@ -104,10 +101,3 @@ def _log_errors(stream: rr.RecordingStream, at: str, model: str, true: np.ndarra
     if np.isfinite(true).all():
         stream.log(f"{at}/position_error_m/{model}", rr.Scalars(float(position_error(estimate, true))))
         stream.log(f"{at}/rotation_error_deg/{model}", rr.Scalars(float(rotation_error_deg(estimate, true))))
-
-
-def _centre_crop_jpeg(image: np.ndarray, crop: int) -> rr.EncodedImage:
-    top, left = (image.shape[0] - crop) // 2, (image.shape[1] - crop) // 2
-    bgr = cv2.cvtColor(image[top : top + crop, left : left + crop], cv2.COLOR_RGB2BGR)
-    jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
-    return rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg")

@@ -10,8 +10,6 @@ from groundwalk.training.regressors import REGRESSORS
 
 
 class TrainSettings(Settings):
-    """Settings of the training stage."""
-
     models: tuple[str, ...] = Field(
         default_factory=lambda: tuple(i for i in REGRESSORS.builtin if REGRESSORS[i].in_paper),
         description="the regressors to train, by id",

@@ -7,6 +7,7 @@ from functools import partial
 
 import pandas as pd
 
+from groundwalk.fusion.definition import FuseSettings
 from groundwalk.fusion.evaluation.fuse import (
     Fused,
     Run,
@@ -26,7 +27,6 @@ from groundwalk.fusion.files.walks import Evaluated, Inputs, check, evaluated
 from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.fusion.methods.paper_rule import PaperRuleOptions
-from groundwalk.fusion.settings import FuseSettings
 from groundwalk.fusion.walk import Walk, known, with_odometry
 from groundwalk.store.choices import MapUnit, Split
 from groundwalk.store.progress import track

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,12 @@ from numpy.typing import NDArray
 from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 
 from groundwalk.fusion.methods.localiser import is_covariance
-from groundwalk.fusion.walk import Flags, Walk, known, with_odometry
+from groundwalk.fusion.walk import Walk, known, with_odometry
 from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.store import UserError
 from groundwalk.store.choices import MapUnit
-from groundwalk.store.tables import map_unit, poses_of
+from groundwalk.store.tables import dataset_frames, map_unit, pose_columns, poses_of, read_parquet
 
 MIN_OVERLAP = 0.5
 _MIN_QUATERNION = 1e-6
@@ -42,6 +43,24 @@ class Inputs:
     truth: pd.DataFrame
     predictions: pd.DataFrame
     made_here: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Files:
+    """The three tables of one scene, as Parquet."""
+
+    frames: Path
+    ground_truth: Path
+    predictions: Path
+
+    def read(self, scene: str) -> Inputs:
+        """UserError where a file isn't a Parquet table."""
+        frames = read_parquet(self.frames)
+        if "split" not in frames.columns:
+            frames = frames.assign(split="test")
+        if "support" in frames.columns:
+            frames = dataset_frames(frames)
+        return Inputs(scene, frames, read_parquet(self.ground_truth), read_parquet(self.predictions))
 
 
 @dataclass
@@ -110,6 +129,7 @@ def evaluated(
             found=f"{len(ordered)} frames of split {', '.join(splits)}",
             do="look at the align stage's table checks, or give ground truth of the evaluated frames",
         )
+    refused = predicted["refusal"].notna().to_numpy() if "refusal" in predicted else np.zeros(len(predicted), bool)
     walks = _walks(scene, ordered, (vio_T, apr_T, true_T), quality, covariance)
     listed = ordered["frame_id"].isin(predictions["frame_id"]).to_numpy()
     unknown = int((~predictions["frame_id"].isin(frames["frame_id"])).sum())
@@ -129,7 +149,7 @@ def evaluated(
     prediction_counts = {
         "prediction_quaternions_not_of_unit_length": _not_unit(evaluated_predictions),
         "frames_without_prediction": int((~listed).sum()),
-        "predictions_refused": int((refused := _refused(predicted)).sum()),
+        "predictions_refused": int(refused.sum()),
         "predictions_not_finite": int((listed & ~known(apr_T) & ~refused).sum()),
         "prediction_covariances_not_positive_definite": unsound,
         "predictions_outside_the_place": _outside(apr_T, true_T),
@@ -206,13 +226,6 @@ def _covariances(predictions: pd.DataFrame) -> tuple[Array | None, int]:
     return covariances, unsound
 
 
-def _refused(predictions: pd.DataFrame) -> Flags:
-    """In which rows a localiser refused to give a pose, (N,)."""
-    if "refusal" not in predictions.columns:
-        return np.zeros(len(predictions), bool)
-    return predictions["refusal"].notna().to_numpy()
-
-
 def _outside(apr_T: Array, true_T: Array) -> int:
     """How many predicted positions lie farther from the box around the ground truth than that box is large."""
     true, predicted = true_T[known(true_T), :3, 3], apr_T[known(apr_T), :3, 3]
@@ -225,7 +238,7 @@ def _outside(apr_T: Array, true_T: Array) -> int:
 def _poses(table: pd.DataFrame, prefix: str) -> Array:
     """A pose group as (N, 4, 4); NaN where a value isn't finite, the place isn't on Earth or the quaternion has no
     length."""
-    columns = _pose_columns(prefix)
+    columns = pose_columns(prefix)
     values = table[columns].astype(float)
     numbers = values.to_numpy()
     sound = np.isfinite(numbers).all(axis=1) & (np.abs(numbers[:, :3]) < _ON_EARTH_M).all(axis=1)
@@ -236,7 +249,7 @@ def _poses(table: pd.DataFrame, prefix: str) -> Array:
 
 def _lengths(table: pd.DataFrame, prefix: str) -> Array:
     """Lengths of a pose group's quaternions, (N,)."""
-    return np.linalg.norm(table[_pose_columns(prefix)[3:]].to_numpy(float, na_value=np.nan), axis=1)
+    return np.linalg.norm(table[pose_columns(prefix)[3:]].to_numpy(float, na_value=np.nan), axis=1)
 
 
 def _not_unit(table: pd.DataFrame, prefix: str = "map_cam") -> int:
@@ -248,7 +261,7 @@ def _not_unit(table: pd.DataFrame, prefix: str = "map_cam") -> int:
 
 def _refuse_no_quaternions(table: pd.DataFrame, what: str) -> None:
     """Rows without a single pose, or whose rotations are something else than quaternions: Euler angles, say."""
-    finite = np.isfinite(table[_pose_columns("map_cam")].to_numpy(float, na_value=np.nan)).all(axis=1)
+    finite = np.isfinite(table[pose_columns("map_cam")].to_numpy(float, na_value=np.nan)).all(axis=1)
     if not finite.any():
         raise UserError(f"{what}: none of {len(table)} rows has a finite pose", expected="numbers, not NaN")
     median = float(np.median(_lengths(table[finite], "map_cam")))
@@ -271,10 +284,6 @@ def _qualities(truth: pd.DataFrame) -> NDArray[np.object_]:
     return np.asarray(quality)
 
 
-def _pose_columns(prefix: str) -> list[str]:
-    return [f"{prefix}_{part}" for part in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")]
-
-
 def _gravity(frames: pd.DataFrame) -> Array:
     """Down in camera axes as unit vectors (N, 3); NaN where it isn't given, isn't finite or has no length."""
     if not set(_GRAVITY) <= set(frames.columns):
@@ -290,7 +299,7 @@ _TEXT = ["frame_id", "session_id", "split", "model", "quality"]
 
 
 def _need(table: pd.DataFrame, columns: list[str], prefix: str, what: str) -> None:
-    wanted = [*columns, *_pose_columns(prefix)]
+    wanted = [*columns, *pose_columns(prefix)]
     missing = [c for c in wanted if c not in table.columns]
     if missing:
         raise UserError(f"{what} lack columns", expected=", ".join(wanted), found=f"no {', '.join(missing)}")

@@ -5,13 +5,14 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 import pandas as pd
 import rerun as rr
+import rerun.blueprint as rrb
 
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
@@ -70,6 +71,11 @@ def _copy(source: BinaryIO, target: BinaryIO, failure: list[BaseException]) -> N
             failure.append(error)
             while source.read(_CHUNK):
                 pass
+
+
+def tabbed(tabs: Iterable[rrb.Container], timeline: str = FRAME_TIMELINE) -> rrb.Blueprint:
+    """A blueprint of tabs over a timeline."""
+    return rrb.Blueprint(rrb.Tabs(*tabs), rrb.TimePanel(timeline=timeline, state="collapsed"), collapse_panels=True)
 
 
 def set_time(stream: rr.RecordingStream, t_ns: int) -> None:

@@ -136,7 +136,6 @@ class StageRun(Generic[S]):
         return map_unit(self.read("align", "ground_truth", scene))
 
     def manifest(self, stage: str, scene: str | None = None) -> dict[str, Any]:
-        """The manifest of a finished stage."""
         return load_manifest(self.folder(stage, scene))
 
     def image_path(self, image: str, scene: str | None = None) -> Path:

@@ -88,6 +88,21 @@ def read_table(path: Path, schema: TableSchema) -> pd.DataFrame:
     return frame
 
 
+def read_parquet(path: Path) -> pd.DataFrame:
+    """A Parquet table that another program may have written: pandas' index is columns, dictionaries of texts are texts.
+    UserError where there is none, or a column is there twice."""
+    if not path.is_file():
+        actual = "a folder" if path.is_dir() else None
+        raise UserError("there is no such table", where=path, expected="a Parquet file", found=actual)
+    try:
+        frame: pd.DataFrame = pq.read_table(path).to_pandas(ignore_metadata=True)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise UserError("a table can't be read", where=path, found=error, expected="a Parquet file") from None
+    if len(twice := frame.columns[frame.columns.duplicated()]):
+        raise UserError("a table has a column twice", where=path, found=twice[0])
+    return frame.astype(dict.fromkeys(frame.select_dtypes("category").columns, object))
+
+
 def _refuse_paths_outside(table: pa.Table, schema: TableSchema, where: Path) -> None:
     """UserError where text that is a path, or becomes part of one, leads out of the folder that it's relative to."""
     for column in schema.columns:
@@ -132,14 +147,18 @@ def camera_of(frame: Any) -> Camera:
     return Camera(int(frame.width), int(frame.height), fx, fy, cx, cy, distortion, frame.first_row)
 
 
+def pose_columns(prefix: str) -> list[str]:
+    """The columns of the pose group `prefix`."""
+    return [f"{prefix}_{part}" for part in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")]
+
+
 def poses_of(frame: pd.DataFrame, prefix: str) -> Array:
     """The pose group `prefix` of a table as (N, 4, 4); rows with a null are all NaN."""
-    t = frame[[f"{prefix}_t{a}" for a in "xyz"]].to_numpy(float, na_value=np.nan)
-    q = frame[[f"{prefix}_q{a}" for a in "xyzw"]].to_numpy(float, na_value=np.nan)
+    values = frame[pose_columns(prefix)].to_numpy(float, na_value=np.nan)
     poses = np.full((len(frame), 4, 4), np.nan)
-    has_pose = ~(np.isnan(t).any(axis=1) | np.isnan(q).any(axis=1))
+    has_pose = ~np.isnan(values).any(axis=1)
     if has_pose.any():
-        poses[has_pose] = pose_from_tq(t[has_pose], q[has_pose])
+        poses[has_pose] = pose_from_tq(values[has_pose, :3], values[has_pose, 3:])
     return poses
 
 
@@ -151,8 +170,7 @@ def pose_frame(prefix: str, poses: Array) -> pd.DataFrame:
     if has_pose.any():
         t, q = tq_from_pose(poses[has_pose])
         values[has_pose] = np.hstack([t, q])
-    names = [f"{prefix}_t{a}" for a in "xyz"] + [f"{prefix}_q{a}" for a in "xyzw"]
-    return pd.DataFrame(values, columns=names)
+    return pd.DataFrame(values, columns=pose_columns(prefix))
 
 
 def map_unit(truth: pd.DataFrame) -> MapUnit:

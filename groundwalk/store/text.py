@@ -39,12 +39,6 @@ def name_list(names: Sequence[str], most: int) -> str:
     return ", ".join(names[:most]) + more if names else "nothing"
 
 
-def markdown_table(heads: str, rows: Iterable[Iterable[object]]) -> str:
-    """A table in Markdown of cells that are Markdown; ` | ` is between its headings."""
-    lines = "".join(f"| {' | '.join(map(str, row))} |\n" for row in rows)
-    return f"| {heads} |\n|{'---|' * (heads.count(' | ') + 1)}\n{lines}"
-
-
 def in_words(names: Iterable[str]) -> str:
     """`train`, `train and test`, `train, val and test`."""
     *first, last = names

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
+from benchmarks.reference import RULERS, reference_pages
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.cli import all_commands
-from groundwalk.reference import RULERS, reference_pages, write_reference
 from groundwalk.simulation.settings import SimulateSettings
-from groundwalk.store import DataRoot, Settings, UserError
+from groundwalk.store import DataRoot, Settings
 from groundwalk.store.settings import SHIPPED_DATA, SceneConfig, SplitRules, resolve_settings
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -21,20 +21,6 @@ SECTIONS = {"simulate": SimulateSettings} | {c.name: c.stage().settings for c in
 @pytest.mark.parametrize("name", reference_pages())
 def test_a_generated_page_is_up_to_date(name: str) -> None:
     assert (DOCS / name).read_text(encoding="utf-8") == reference_pages()[name], "run `make docs`"
-
-
-def test_a_page_that_is_not_generated_is_kept(tmp_path: Path) -> None:
-    mine = tmp_path / "reference" / "tables.md"
-    for _ in range(2):  # new, and in place of earlier ones
-        assert mine in write_reference(tmp_path)
-    mine.write_text("mine")
-    other = tmp_path / "reference" / "checks.md"
-    other.unlink()
-    with pytest.raises(UserError, match="isn't a generated page"):
-        write_reference(tmp_path)
-    with pytest.raises(UserError, match="can't be written"):
-        write_reference(mine)
-    assert mine.read_text() == "mine" and not other.exists()
 
 
 def fields(model: type[Settings], name: str) -> Iterator[tuple[str, Any]]:

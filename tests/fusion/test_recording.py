@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from rerun.chunk import RrdReader
 
+from groundwalk.fusion.definition import FuseSettings
 from groundwalk.fusion.evaluation.evaluate import evaluate
 from groundwalk.fusion.files.walks import Inputs
 from groundwalk.fusion.recording import blueprint, record
-from groundwalk.fusion.settings import FuseSettings
 from groundwalk.store.recording import open_recording
 from tests.fusion.tables import tables
 

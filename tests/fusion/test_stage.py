@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.fusion.definition import STAGE
-from groundwalk.fusion.settings import FuseSettings
+from groundwalk.fusion.definition import STAGE, FuseSettings
 from groundwalk.store import DataRoot, StageRun, UserError
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import read_table

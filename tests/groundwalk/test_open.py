@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 import torch
 
@@ -40,17 +38,6 @@ PROPERTIES = {
 
 def open_place(made: MadeUpRun) -> groundwalk.Run:
     return groundwalk.open("place", profile="tiny", data=made.data.root)
-
-
-def rewrite(path: Path, version: str | None = None, drop: str | None = None, add: str | None = None) -> None:
-    """Change a table's version or columns as another version of groundwalk would have written them."""
-    table = pq.read_table(path)
-    if drop:
-        table = table.drop_columns([drop])
-    if add:
-        table = table.append_column(add, pa.array([1.0] * len(table)))
-    metadata = dict(table.schema.metadata) | ({b"groundwalk.version": version.encode()} if version else {})
-    pq.write_table(table.replace_schema_metadata(metadata), path)
 
 
 def test_each_property_is_its_table(make_run: Make) -> None:
@@ -254,19 +241,6 @@ def test_a_foreign_folder_is_refused_and_left_as_it_is(make_run: Make, tmp_path:
     made = make_run("import")
     with pytest.raises(UserError, match=r"(?s)folder of one stage.*place'"):
         groundwalk.open(made.folder / "import")
-
-
-def test_tables_of_the_same_major_version_are_read(make_run: Make) -> None:
-    """An older one may lack columns that can be null; a newer one has more."""
-    made = make_run()
-    predictions = made.folder / "train" / "predictions.parquet"
-    rewrite(predictions, "1.99", add="later")
-    assert "later" not in open_place(made).predictions
-    rewrite(predictions, "1.0", drop="covariance")
-    assert open_place(made).predictions["covariance"].isna().sum() >= pq.read_metadata(predictions).num_rows
-    rewrite(predictions, drop="picked_scene")
-    with pytest.raises(UserError, match="lacks columns"):
-        _ = open_place(made).predictions
 
 
 def test_stages_that_do_not_belong_together_are_not_mixed(make_run: Make) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 import groundwalk
 from groundwalk.alignment.quality import CLASS_B, FrameEvidence, grade
-from groundwalk.closing import closing_lines
+from groundwalk.commands import closing_lines
 from groundwalk.fusion.evaluation.summary import summarise
 from groundwalk.geometry.poses import make_pose, yaw_rotation
 from groundwalk.reports.definition import STAGE

@@ -87,7 +87,7 @@ def test_what_a_file_can_get_wrong_is_said(
     with pytest.raises(UserError, match=message):
         run(data)
     (data / "mine.parquet").write_text("model,frame_id\n")
-    with pytest.raises(UserError, match="expected: a Parquet table"):
+    with pytest.raises(UserError, match="a table can't be read"):
         run(data)
     assert not (data / "runs/tiny/Wall/train").exists()
 

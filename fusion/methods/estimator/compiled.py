@@ -6,38 +6,47 @@ of calls. Compiled functions work on plain numbers and arrays, and call each oth
 times as fast as numpy's functions and expressions do, so these are hardly used in them."""
 
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array
-from groundwalk.store.compiled import Function, compiled_and_kept, njit
 
+Function = TypeVar("Function", bound=Callable[..., Any])
+_njit: Any = numba.njit  # its stubs lack options
 Rows = NDArray[np.void]
 """Keyframes (N,), of dtype KEYFRAME (keyframes.py)."""
 Row = Any
 """One of them."""
 
 
-def _stamp() -> str:
-    sources = sorted(Path(__file__).parent.glob("*.py"))
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
-
-
-_STAMP = _stamp()
+_SOURCES = sorted(Path(__file__).parent.glob("*.py"))
+_STAMP = hashlib.sha256(b"".join(path.read_bytes() for path in _SOURCES)).hexdigest()
 
 
 def compiled(function: Function) -> Function:
-    """The function, compiled at its first call, and kept while no source of the estimator changes."""
-    return compiled_and_kept(function, _STAMP, error_model="numpy", no_cfunc_wrapper=True)
+    """The function, compiled at its first call. The code is kept beside the module, or in the user's cache folder where
+    that can't be written; without either, each process compiles it anew. It is current while no source of the estimator
+    changes; numba by itself takes it for current while the function's own file is, though it holds functions of others.
+    """
+    options = {"error_model": "numpy", "no_cfunc_wrapper": True}
+    try:
+        dispatcher: Any = _njit(cache=True, **options)(function)
+        dispatcher._cache._cache_file._source_stamp = _STAMP
+    except RuntimeError:  # there is no folder
+        dispatcher = _njit(**options)(function)
+    typed: Function = dispatcher
+    return typed
 
 
 def inlined(function: Function) -> Function:
     """A small function for compiled ones, copied into each, so that the sizes that it is called with are constants."""
-    dispatcher: Any = njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(
+    dispatcher: Any = _njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(
         function
     )
     typed: Function = dispatcher

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from groundwalk.fusion.definition import FuseSettings
 from groundwalk.fusion.evaluation.evaluate import evaluate
 from groundwalk.fusion.evaluation.summary import intervals
 from groundwalk.fusion.files.walks import Inputs
-from groundwalk.fusion.settings import FuseSettings
 from groundwalk.scoring.bootstrap import DRAWS
 from tests.fusion.tables import tables
 

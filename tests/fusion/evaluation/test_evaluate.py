@@ -13,13 +13,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from groundwalk.fusion import commands
 from groundwalk.fusion.__main__ import app
+from groundwalk.fusion.definition import FuseSettings
 from groundwalk.fusion.evaluation.evaluate import Results, evaluate, report_lines
 from groundwalk.fusion.evaluation.sweep import VALUES
-from groundwalk.fusion.files.parquet import Files
-from groundwalk.fusion.files.tables import evaluate_files
-from groundwalk.fusion.files.walks import Inputs, evaluated
-from groundwalk.fusion.settings import FuseSettings
+from groundwalk.fusion.files.walks import Files, Inputs, evaluated
 from groundwalk.store import UserError
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.files import write_json
@@ -400,7 +399,7 @@ def parquet_files(folder: Path, *made: pd.DataFrame) -> Files:
 
 
 def write(files: Files, out: Path, force: bool = False) -> None:
-    evaluate_files(files, out, "Place", ['methods=["raw"]'], force)
+    commands.evaluate(**vars(files), out=out, scene="Place", set_=['methods=["raw"]'], force=force)
 
 
 @pytest.mark.parametrize(
@@ -452,7 +451,7 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path: Path, mo
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr("groundwalk.fusion.files.tables.record", fail)
+        patched.setattr("groundwalk.fusion.commands.record", fail)
         with pytest.raises(UserError, match="can't be written"):
             write(files, out, force=True)
     assert (out / "stale.parquet").exists() and len(list(tmp_path.iterdir())) == 6

@@ -4,11 +4,11 @@ from typing import Any
 
 import pytest
 
+from groundwalk.fusion.definition import FuseSettings
 from groundwalk.fusion.evaluation.evaluate import evaluate, joined_walks
 from groundwalk.fusion.evaluation.sweep import VALUES, around, sweep
 from groundwalk.fusion.files.walks import Inputs
 from groundwalk.fusion.methods.paper_rule import PaperRuleOptions
-from groundwalk.fusion.settings import FuseSettings
 from tests.fusion.tables import tables
 
 INPUTS = Inputs("Place", *tables([1, 2], ("PN", "MS-T")))

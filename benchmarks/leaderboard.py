@@ -1,4 +1,5 @@
-"""All fusion methods on walks in folders and on finished runs: who is ahead, scene by scene.
+"""All fusion methods on walks in folders and on finished runs, who is ahead, scene by scene: `python -m
+benchmarks.leaderboard`.
 
 A folder holds any number of cases, each a folder with `frames.parquet`, `ground_truth.parquet` and
 `predictions.parquet` as `evaluate` reads them; what a case is called is its path. The first part of that path is its
@@ -6,46 +7,47 @@ group, over which figures are averaged. A file `about.txt` in the folder says wh
 
 import hashlib
 import multiprocessing
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
+import typer
 from numpy.typing import NDArray
 
+from benchmarks.results import busy_machine, markdown_table
+from groundwalk.fusion.definition import FuseSettings
 from groundwalk.fusion.evaluation.evaluate import joined_walks
 from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, stacked
 from groundwalk.fusion.evaluation.summary import figures
 from groundwalk.fusion.evaluation.validation import ERRORS, ahead_of
-from groundwalk.fusion.files.parquet import Files
-from groundwalk.fusion.files.walks import Inputs
+from groundwalk.fusion.files.walks import Files, Inputs
 from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.methods.localiser import MethodOptions
-from groundwalk.fusion.settings import FuseSettings
 from groundwalk.fusion.walk import Walk, known, with_odometry
 from groundwalk.scoring import errors as scoring_errors
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.checkout import git_revision
-from groundwalk.store.cores import machine
+from groundwalk.store.cli import new_app
 from groundwalk.store.files import make_writable
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.progress import track
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import dataset_frames, read_table
 
+app = new_app(__doc__ or "")
 RAW, RULE = "raw", "paper_rule"
 KEY = ["group", "scene", "model"]
 _TABLES = ("frames", "ground_truth", "predictions")
 _PAGE, _TABLE = "fusion.md", "fusion.csv"
 _HEADER = """# Fusion methods beside each other
 
-Written by `groundwalk leaderboard`; not to be edited. Errors are over all frames with ground truth, in time; a
-frame without a pose counts as failed in medians, percentiles and levels, and means have the coverage beside them.
+Written by `python -m benchmarks.leaderboard`; not to be edited. Errors are over all frames with ground truth, in time;
+a frame without a pose counts as failed in medians, percentiles and levels, and means have the coverage beside them.
 `/rule` is a mean error over the paper's rule's in the same scene with the same model, the geometric mean over scenes
 and models. In bounds: share of errors within the method's 95 % bounds, mean over scenes (worst). Levels: (0.25 m, 2°),
 (0.5 m, 5°), (5 m, 10°). Ahead is the causal method whose mean errors are least (the geometric mean of position and
@@ -216,12 +218,24 @@ def ratios(rows: pd.DataFrame) -> pd.DataFrame:
 # ---------------------------------------------------------------- files
 
 
-def run_leaderboard(folders: Sequence[Path], data: Path, out: Path, methods: Sequence[str], processes: int) -> None:
-    """Run it, write its files and print them. UserError where there is nothing to run on, or the folder `out` can't be
-    made or has files of these names that no leaderboard wrote."""
+@app.command()
+def leaderboard(
+    folders: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Folders of GROUP/SCENE/ with frames.parquet, ground_truth.parquet and predictions.parquet."
+        ),
+    ] = None,
+    data: Annotated[Path, typer.Option(help="The data folder, whose finished runs take part.")] = Path("data"),
+    out: Annotated[Path, typer.Option(help="Folder for fusion.md and fusion.csv.")] = Path("build/leaderboard"),
+    methods: Annotated[str, typer.Option(help="Methods, joined by commas; all if empty.")] = "",
+    processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 1,
+) -> None:
+    """Compare the methods, write the files and print the page. UserError where there is nothing to run on, or the
+    folder `out` can't be made or has files of these names that no leaderboard wrote."""
     revision = git_revision()  # before the run: the checkout may move on meanwhile
     cases, sources = cases_of_runs(DataRoot(data))
-    for folder in folders:
+    for folder in folders or []:
         more, lines = cases_in(folder)
         cases, sources = cases + more, sources + lines
     if not cases:
@@ -233,7 +247,8 @@ def run_leaderboard(folders: Sequence[Path], data: Path, out: Path, methods: Seq
         )
     _refuse_other_files(out)
     make_writable(out)
-    print(write_leaderboard(out, scores(cases, methods, processes), sources, revision))
+    chosen = [name.strip() for name in methods.split(",") if name.strip()]
+    print(write_leaderboard(out, scores(cases, chosen, processes), sources, revision))
 
 
 def _refuse_other_files(out: Path) -> None:
@@ -253,7 +268,7 @@ def write_leaderboard(out: Path, rows: pd.DataFrame, sources: list[str], revisio
     head = {
         "revision": revision,
         "date": datetime.now(UTC).date().isoformat(),
-        "machine": f"{machine()}, load {os.getloadavg()[0]:.1f} at the end",
+        "machine": busy_machine(),
     }
     rows.assign(**head).to_csv(out / _TABLE, index=False, float_format="%.6g", lineterminator="\n")
     lines = [*(f"- {name}: {value}" for name, value in head.items()), *(f"- {source}" for source in sources)]
@@ -262,7 +277,7 @@ def write_leaderboard(out: Path, rows: pd.DataFrame, sources: list[str], revisio
     for group in table["group"].unique():
         part = table[table["group"] == group].drop(columns="group")
         here = rows[rows["group"] == group]
-        sections += [f"## {group}: {_counts(here)}", markdown(part), "### Scene by scene", markdown(_by_scene(here))]
+        sections += [f"## {group}: {_counts(here)}", _markdown(part), "### Scene by scene", _markdown(_by_scene(here))]
     text = "\n\n".join(sections) + "\n"
     (out / _PAGE).write_text(text, encoding="utf-8")
     return text
@@ -292,14 +307,15 @@ def _by_scene(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(listing).fillna("")
 
 
-def markdown(table: pd.DataFrame) -> str:
-    """A table in Markdown."""
-    lines = ["| " + " | ".join(table.columns) + " |", "|---" * len(table.columns) + "|"]
-    lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in table.itertuples(index=False)]
-    return "\n".join(lines)
+def _markdown(table: pd.DataFrame) -> str:
+    return markdown_table([list(table.columns), *(list(map(_cell, row)) for row in table.itertuples(index=False))])
 
 
 def _cell(value: object) -> str:
     if isinstance(value, float):
         return "" if np.isnan(value) else f"{value:.0f}" if 1000 <= abs(value) < np.inf else f"{value:.3g}"
     return str(value)
+
+
+if __name__ == "__main__":
+    app()

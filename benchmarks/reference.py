@@ -1,10 +1,11 @@
-"""The generated pages of docs: the reference, from the code that defines it."""
+"""The generated pages of docs, the reference, from the code that defines it: `make docs`."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from benchmarks.results import markdown_table
 from groundwalk.alignment.checks.definitions import DEFINITIONS
 from groundwalk.alignment.control.settings import ControlSettings
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler
@@ -13,17 +14,31 @@ from groundwalk.fusion.methods import METHODS
 from groundwalk.localisation.localisers import LOCALISERS
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.store.choices import FailureCause
-from groundwalk.store.errors import UserError
-from groundwalk.store.reference import reference as tables_page
 from groundwalk.store.registry import Registry
+from groundwalk.store.schemas import TableSchema, all_tables
 from groundwalk.store.settings import SceneConfig, Settings, SplitRules
-from groundwalk.store.text import markdown_table
 from groundwalk.training.regressors import REGRESSORS
 
 RULERS: dict[str, type[Settings]] = {"charuco": CharucoRuler, "apriltag": AprilTagRuler, "distance": DistanceRuler}
+_DOCS = Path(__file__).resolve().parents[1] / "docs"
 WRITTEN_BY = "This page is written by `make docs`."
-_SETTING = "setting | type and range | default | description"
+_SETTING = ["setting", "type and range", "default", "description"]
 
+_TABLES_HEAD = f"""# Tables
+
+What each stage leaves in `data/runs/<profile>/<scene>/<stage>/`: the tables below as Parquet, `recording.rrd` (a view
+of them, with its blueprint) and `manifest.json` (inputs with hashes, resolved settings, versions, seed, git revision,
+machine, seconds a step, figures). Parquet is the truth; each column carries its unit, frame and meaning as metadata.
+A table's version is `major.minor`; a reader refuses another major.
+
+A pose group is seven columns: `map_cam_*` stands for `map_cam_tx, _ty, _tz` (metres) and `map_cam_qx, _qy, _qz, _qw`
+(unit quaternion, w ≥ 0), the pose map_T_cam. [conventions.md](conventions.md) says what the frames are.
+
+Where nothing gave a map metric scale (`scale_source` of align.ground_truth: none, or reference, unit unknown), what is
+in m in its frame is in the map's own unit.
+
+{WRITTEN_BY}
+"""
 _SETTINGS_HEAD = f"""# Settings
 
 A stage's settings are resolved in this order, the later one wins: the defaults below, the section `[<stage>]` of
@@ -56,30 +71,41 @@ What has no standard error is counted or measured. The limits are [settings](set
 """
 
 
-def write_reference(docs: Path) -> list[Path]:
-    """Write all generated pages into the folder docs/; their paths. UserError where they can't be written, or one would
-    replace a page that isn't generated."""
-    pages = {docs / name: page for name, page in reference_pages().items()}
-    try:
-        for path in pages:
-            if path.exists() and b"`make docs`" not in path.read_bytes():
-                raise UserError("this isn't a generated page", where=path, do="name another folder with --out")
-        for path, page in pages.items():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise UserError("a page can't be written", where=error.filename, found=error.strerror) from None
-    return [*pages]
-
-
 def reference_pages() -> dict[str, str]:
     """The generated pages by path in docs/."""
     return {
-        "reference/tables.md": tables_page(),
+        "reference/tables.md": _tables(),
         "reference/settings.md": _SETTINGS_HEAD + "".join(f"\n## {a}\n\n{b}\n\n{c}" for a, b, c in _sections()),
         "reference/commands.md": _COMMANDS_HEAD + "".join(_commands()),
         "reference/checks.md": _CHECKS_HEAD + "".join(_checks()),
     }
+
+
+def _tables() -> str:
+    """Every table with its columns."""
+    parts = [_TABLES_HEAD]
+    stage = ""
+    for table in all_tables():
+        if table.stage != stage:
+            stage = table.stage
+            parts.append(f"\n## {stage}\n")
+        parts.append(f"\n### {table.name} ({table.version})\n\n{table.meaning}\n\n")
+        parts.append(_table(["column", "type", "unit", "frame", "meaning"], _columns(table)))
+    return "".join(parts)
+
+
+def _columns(table: TableSchema) -> Iterator[list[str]]:
+    """A row a column; a pose group is one row."""
+    groups = {name.removesuffix("_qw") for name in table.column_names if name.endswith("_qw")}
+    for column in table.columns:
+        prefix, _, part = column.name.rpartition("_")
+        kind = f"{column.dtype}{' or null' if column.nullable else ''}"
+        if prefix not in groups or len(part) != 2:
+            meaning = f"{column.meaning}: {', '.join(column.choices)}" if column.choices else column.meaning
+            yield [f"`{column.name}`", kind, column.unit, column.frame, meaning]
+        elif part == "tx":
+            meaning = column.meaning.removesuffix(": position, x")
+            yield [f"`{prefix}_*`", kind, "m, unit quaternion", column.frame, meaning]
 
 
 def _commands() -> Iterator[str]:
@@ -95,7 +121,7 @@ def _commands() -> Iterator[str]:
             if command.is_stage:
                 yield f"\nSettings: [`[{command.name}]`](settings.md#{command.name}).\n"
             options = map(_option, (parameter for parameter in loaded.params if not parameter.hidden))
-            yield "\n" + markdown_table("option | type | default | what it does", options)
+            yield "\n" + _table(["option", "type", "default", "what it does"], options)
 
 
 def _checks() -> Iterator[str]:
@@ -104,7 +130,7 @@ def _checks() -> Iterator[str]:
         [f"`{name}`", *map(_cell, (check.estimate, check.unit, check.remedy, check.evidence))]
         for name, check in DEFINITIONS.items()
     )
-    yield "\n## Checks\n\n" + markdown_table("check | estimates | unit | where it failed | what would decide it", rows)
+    yield "\n## Checks\n\n" + _table(["check", "estimates", "unit", "where it failed", "what would decide it"], rows)
     yield "\n## Causes\n\nWhat a failure says is wrong, column `cause`. The first in this order names the run.\n\n"
     yield from (f"{number}. {_cell(str(cause))}\n" for number, cause in enumerate(FailureCause, 1))
 
@@ -146,14 +172,14 @@ def _of_entries(section: str, registry: Registry[Any], attribute: str) -> tuple[
         common = max(defaults, key=lambda default: len(defaults[default])) if len(owners) == len(models) > 1 else None
         others = [f"{', '.join(ids)}: {default}" for default, ids in defaults.items() if default != common]
         lines.append([f"`{name}`", kind, "; ".join(filter(None, [common, *others])), _cell(text)])
-    table = markdown_table(_SETTING, lines) if lines else "None has settings.\n"
+    table = _table(_SETTING, lines) if lines else "None has settings.\n"
     return f"[{section}.<name>]", f"`<name>` is one of these:\n\n{listed}", table
 
 
 def _settings(model: type[Settings], without: Collection[str] = ()) -> str:
     rows = [row for row in _rows(model, "") if row[0].split(".")[0] not in without]
     lines = ([f"`{name}`", kind, default, _cell(text)] for name, kind, default, text in rows)
-    return markdown_table(_SETTING, lines) if rows else "It has no settings.\n"
+    return _table(_SETTING, lines) if rows else "It has no settings.\n"
 
 
 def _rows(model: type[Settings], prefix: str) -> Iterator[tuple[str, str, str, str]]:
@@ -224,7 +250,16 @@ def _option(parameter: Any) -> list[str]:
 _KINDS: dict[Any, str] = {int: "whole number", float: "number", Path: "path", list[str]: "text, repeatable"}
 
 
+def _table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    return markdown_table([heading, *rows]) + "\n"
+
+
 def _cell(text: str) -> str:
     """Text as Markdown on one line, for a cell of a table, too: outside of code, < begins no tag."""
-    parts = " ".join(text.replace("|", "\\|").split()).split("`")
+    parts = " ".join(text.split()).split("`")
     return "`".join(part if i % 2 else part.replace("<", "\\<") for i, part in enumerate(parts))
+
+
+if __name__ == "__main__":
+    for _name, _page in reference_pages().items():
+        (_DOCS / _name).write_text(_page, encoding="utf-8")
