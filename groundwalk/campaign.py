@@ -29,6 +29,7 @@ from groundwalk.store.errors import UserError
 from groundwalk.store.files import read_json, write_json, written_aside
 from groundwalk.store.locks import locked
 from groundwalk.store.manifests import MANIFEST
+from groundwalk.store.runs import finished_stages
 from groundwalk.store.settings import STAGES, DataRoot, checked_name
 
 app = new_app("Many scenes.")
@@ -104,7 +105,7 @@ def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str
     jobs: dict[str, Job] = {}
     problems: dict[str, str] = {}
     seen: set[str] = set()
-    for number, row in enumerate(_rows(table), start=2):
+    for number, row in enumerate(read_scenes(table), start=2):
         scene = row["scene"]
         of_scene = f"{row.get('profile', profile)}/{scene}"
         if of_scene in seen:
@@ -120,7 +121,8 @@ def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str
     return list(jobs.values()), problems
 
 
-def _rows(table: Path) -> Iterator[dict[str, str]]:
+def read_scenes(table: Path) -> Iterator[dict[str, str]]:
+    """The lines of a CSV of scenes: `scene`, and what else is filled in. UserError for a table that isn't one."""
     if not table.is_file():
         raise UserError("there is no such table of scenes", where=table, expected=f"a CSV of {', '.join(_COLUMNS)}")
     try:
@@ -219,9 +221,9 @@ def _shell(command: str, data: DataRoot) -> str:
 
 def _resources(profile: str, command: str, data: DataRoot) -> dict[str, int]:
     """Cores, MiB and minutes of a command: by the finished runs of the data folder with this profile."""
-    made = [read_json(path) for path in (data.root / "runs" / profile).glob(f"*/{command}/{MANIFEST}")]
-    mib = max((float(one.get("peak_memory_mib") or 0) for one in made), default=0) * _MARGIN
-    minutes = max((float(one.get("total_seconds") or 0) for one in made), default=0) * _MARGIN / 60
+    made = finished_stages(data, command, profile)
+    mib = max((one.mib for one in made), default=0) * _MARGIN
+    minutes = max((one.seconds for one in made), default=0) * _MARGIN / 60
     threads = min(usable_cores(), _MAX_CORES) if command in _SEVERAL_CORES else 1
     measured = {"mem_mb": round(mib) + 512, "runtime": round(minutes) + 5}
     return {"threads": threads, **(measured if made else {"mem_mb": _DEFAULT_MIB, "runtime": _DEFAULT_MINUTES})}
