@@ -205,7 +205,7 @@ def _training_seconds(
 def _print(rows: list[Estimate]) -> None:
     table = Table("profile", "stage", "by", box=None, pad_edge=False)
     for name in ("runs", "frames", "minutes", "GPU hours", "disk GiB", "peak MiB"):
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=True)
 
     def numbers(minutes: float | None, gpu: float | None, disk: float | None, mib: float | None) -> list[str]:
         formats = ((minutes, ",.1f"), (gpu, ",.2f"), (disk, ",.2f"), (mib, ",.0f"))
@@ -214,7 +214,9 @@ def _print(rows: list[Estimate]) -> None:
     notes = list(dict.fromkeys(row.by for row in rows))
     for row in rows:
         figures = numbers(row.minutes, row.gpu_hours, row.disk_gib, row.peak_mib)
-        if row.stage != "train":
+        if row.minutes is None:
+            figures[1:] = "", "", ""
+        elif row.stage != "train":
             figures[1] = ""
         count = "?" if row.frames is None else f"{row.frames:,}"
         table.add_row(row.profile, row.stage, f"({notes.index(row.by) + 1})", str(row.runs), count, *figures)
@@ -227,7 +229,7 @@ def _print(rows: list[Estimate]) -> None:
         sum(row.disk_gib or 0 for row in rows),
         max((row.peak_mib or 0 for row in rows), default=0),
     )
-    table.add_row("", "all that is measured", "", "", "", *sums)
+    table.add_row("", "sum", "", "", "", *sums)
     progress.stdout.print(table)
     for number, note in enumerate(notes, start=1):
         progress.stdout.print(f"({number}) {note}")
