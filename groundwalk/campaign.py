@@ -170,15 +170,17 @@ def write_workflow(folder: Path, jobs: list[Job], problems: dict[str, str], data
     write_json(folder / PLAN, content)
     rules = [_RULE.format(command=c, retries=_ATTEMPTS - 1, run=_shell(c, data)) for c in commands]
     with written_aside(folder / WORKFLOW) as partial:
-        partial.write_text(_HEAD.format(plan=PLAN) + "".join(rules), encoding="utf-8")
+        partial.write_text(_HEAD.format(plan=PLAN, folder=str(folder)) + "".join(rules), encoding="utf-8")
 
 
-_HEAD = """# Written by `groundwalk campaign`, not to be edited. It runs by itself, too, in this folder:
+_HEAD = """# Written by `groundwalk campaign`, not to be edited. It runs by itself, too, in this folder, which jobs elsewhere must
+# see under the same path:
 #     snakemake --cores 2 --keep-going
 import json
 from pathlib import Path
 
-PLAN = json.loads(Path(workflow.basedir, "{plan}").read_text())
+FOLDER = Path({folder!r})
+PLAN = json.loads((FOLDER / "{plan}").read_text())
 needs = lambda command: lambda w: [f"done/{{n}}" for n in PLAN["needs"][f"{{w.profile}}/{{w.scene}}/{{command}}"]]
 kind = lambda w, command: PLAN["resources"][f"{{w.profile}}/{{command}}"]
 take = lambda command, what: lambda w, attempt: attempt * kind(w, command)[what]
@@ -193,7 +195,7 @@ _RULE = """
 rule stage_{command}:
     input: needs("{command}")
     output: touch("done/{{profile}}/{{scene}}/{command}")
-    params: log="logs/{{profile}}/{{scene}}/{command}.log"
+    params: log=lambda w: f"{{FOLDER}}/logs/{{w.profile}}/{{w.scene}}/{command}.log"
     threads: lambda w: kind(w, "{command}")["threads"]
     resources: mem_mb=take("{command}", "mem_mb"), runtime=take("{command}", "runtime")
     retries: {retries}

@@ -6,12 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from torch import Tensor
 
 from groundwalk.store import DataRoot, UserError, execute
-from groundwalk.store.child import ProcessDied, Report, Task, in_children
+from groundwalk.store.child import Report, Task, in_children
 from groundwalk.training import processes
 from groundwalk.training.data import Frames, View, jittered
 from groundwalk.training.definition import STAGE
@@ -98,7 +99,7 @@ def fails(report: Report, part: Part, how: str) -> None:
 @pytest.mark.parametrize(("how", "message"), [("dies", r"its process died \(SIGKILL\)"), ("raises", "can't go on")])
 def test_one_that_fails_ends_all_with_its_own_message(tmp_path: Path, how: str, message: str) -> None:
     tasks = [Task(fails, (Part(rank, 2, tmp_path / "meeting"), how), 0) for rank in range(2)]
-    with pytest.raises((UserError, ProcessDied), match=message):
+    with pytest.raises(UserError, match=message):
         in_children("training", tmp_path / "log.txt", "look", tasks)
 
 
@@ -116,12 +117,14 @@ def test_the_stage_trains_the_papers_regressors_by_two_processes(make_scene: Cal
     for name in ("PN", "MS-T"):
         more = {"epochs": 2, "batch": 4, "dropout": 0, "weights": "scratch", "learning_rate": 1e-4}
         settings += [f"regressors.{name}.{key}={value}" for key, value in more.items()]
-    weights = []
+    losses, positions = [], []
     for count in (1, 2):
         folder = execute(STAGE, "Wall", "tiny", data, [*settings, f"processes={count}"], force=True)
-        weights.append([torch.load(folder / "weights" / f"{name}.pt")["state"] for name in ("PN", "MS-T")])
-    for one, two in zip(*weights, strict=True):
-        same_to_rounding(two, one)
+        losses.append(pd.read_parquet(folder / "history.parquet")["train_loss"].to_numpy())
+        predictions = pd.read_parquet(folder / "predictions.parquet")
+        positions.append(predictions[[f"map_cam_t{axis}" for axis in "xyz"]].to_numpy())
+    # Adam makes a step of rounding errors where a weight's gradient is no larger.
+    assert losses[1] == pytest.approx(losses[0], rel=1e-3) and positions[1] == pytest.approx(positions[0], abs=0.02)
     # What it makes doesn't depend on their number: it is up to date for any.
     written = (folder / "manifest.json").read_text()
     execute(STAGE, "Wall", "tiny", data, [*settings, "processes=1"])
