@@ -23,7 +23,7 @@ from groundwalk.cli import all_commands, stage_of
 from groundwalk.pipeline import Step, check, is_step_up_to_date, steps
 from groundwalk.store import progress
 from groundwalk.store.__main__ import link_folder
-from groundwalk.store.cli import DataOption, ProfileOption, new_app
+from groundwalk.store.cli import EXPECTED_VERSION, DataOption, ProfileOption, new_app, version_of
 from groundwalk.store.cores import usable_cores
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import read_json, write_json, written_aside
@@ -39,7 +39,10 @@ _ATTEMPTS = 3  # each with so many times the memory and time of the first
 # Where no finished run says what a stage takes; of one that does, so many times as much.
 _DEFAULT_MIB, _DEFAULT_MINUTES, _MARGIN = 4096, 60, 1.5
 # Another node, or more memory, may do: words of errors that a stage ends with as it does with refusals.
-_MACHINES = "no space left|quota exceeded|memory is used up|allocate memory|input/output error|stale file handle"
+_MACHINES = (
+    "no space left|quota exceeded|memory is used up|allocate memory|input/output error|stale file handle"
+    "|another version of groundwalk"
+)
 _SEVERAL_CORES = {"sfm", "localise", "train"}
 _MAX_CORES = 8
 
@@ -173,8 +176,7 @@ def write_workflow(folder: Path, jobs: list[Job], problems: dict[str, str], data
         partial.write_text(_HEAD.format(plan=PLAN, folder=str(folder)) + "".join(rules), encoding="utf-8")
 
 
-_HEAD = """# Written by `groundwalk campaign`, not to be edited. It runs by itself, too, in this folder, which jobs elsewhere must
-# see under the same path:
+_HEAD = """# Written by `groundwalk campaign`, not to be edited. Where its folder has this path it runs by itself, too:
 #     snakemake --cores 2 --keep-going
 import json
 from pathlib import Path
@@ -207,11 +209,12 @@ def _shell(command: str, data: DataRoot) -> str:
     """What a job does, as text of the workflow. What a stage refuses it refuses each time: it isn't tried again, and
     the report says so; but for what the machine lacks, which another one may have. The log is no `log` of Snakemake's,
     which removes these before another attempt. Packages' own commands leave the page of all runs alone, which the
-    campaign writes once."""
+    campaign writes once. A worker with another version of groundwalk says so."""
     python = f"OMP_NUM_THREADS={{threads}} {shlex.quote(sys.executable)} -P -m"
     packages = {one.name: f"groundwalk.{one.module.rpartition('.')[0]}" for one in all_commands()}
     options = f"--scene {{wildcards.scene:q}} --profile {{wildcards.profile:q}} --data {shlex.quote(str(data.root))}"
-    run = f"{python} {packages[command]} {options} > $log 2>&1"
+    version = "" if command == "simulate" else f"{EXPECTED_VERSION}={shlex.quote(version_of(stage_of(command)))} "
+    run = f"{version}{python} {packages[command]} {options} > $log 2>&1"
     report = f" {python} {packages['report']} --force {options} > $log.report 2>&1 || true;"
     after = "" if command in ("simulate", "import", "report") else report
     return repr(
