@@ -162,8 +162,10 @@ def _gpu(run: Finished) -> str:
 
 
 def _comparable(profile: str, runs: list[Finished], data: DataRoot) -> list[Finished]:
-    """Those runs of one profile, machine and GPU that say most of a run of this profile on this machine."""
-    runs = [run for run in runs if run.seconds and _frames(run, data)]
+    """Those runs of one profile, machine and GPU that say most of a run of this profile on this machine. One that went
+    on from a checkpoint, or from what was there before recordings were added, took longer than its manifest says."""
+    whole = [run for run in runs if not (run.manifest.get("resumed") or run.manifest.get("extends"))]
+    runs = [run for run in whole if run.seconds and _frames(run, data)]
     kinds = [(run.folder.parents[1].name, str(run.manifest.get("machine")), _gpu(run)) for run in runs]
     counts = Counter(kinds)
 

@@ -43,6 +43,8 @@ def test_times_and_disk_grow_with_frames_and_come_from_the_profile_where_it_was_
     for profile, scene, frames, seconds in (("tiny", "a", 50, 20), ("tiny", "b", 150, 100), ("demo", "a", 100, 900)):
         finish_import(data, profile, scene, frames)
         (finish(data, profile, scene, "sfm", seconds) / "database").write_bytes(bytes(frames << 20))
+    finish_import(data, "tiny", "killed", 1000)
+    finish(data, "tiny", "killed", "sfm", 1, resumed=True)  # the last part alone was timed
     planned = [("tiny", step) for step in (Step("import", "a"), Step("sfm", "a"), Step("sfm", "b"), Step("align", "a"))]
     rows = {row.stage: row for row in estimates(planned, data)}
     assert rows["import"].minutes == pytest.approx(5 / 60) and rows["import"].runs == 1
