@@ -2,11 +2,14 @@
 #     docker build -t groundwalk .
 #     docker run --rm --user $(id -u):$(id -g) -v "$PWD":/work groundwalk campaign scenes.csv
 # The folder with scenes.csv is /work, and data/ appears in it. With GPUs: `docker run --gpus all`.
-# Not built here: no Docker was running. Its pip commands were run in an empty environment of Python 3.11.
+# Not built here: no Docker was running. Its pip command was run in an empty environment of Python 3.11, on a machine with
+# Open3D's libraries, and a campaign of one import with what that installed.
 FROM python:3.11-slim-bookworm
 
-# The storage plugin copies with rsync.
-RUN apt-get update && apt-get install --yes --no-install-recommends rsync && rm -rf /var/lib/apt/lists/*
+# Open3D, which simulates, links the first ones; Snakemake's storage plugin copies with rsync.
+RUN apt-get update \
+    && apt-get install --yes --no-install-recommends libegl1 libgl1 libgomp1 libidn2-0 libudev1 libx11-6 rsync \
+    && rm -rf /var/lib/apt/lists/*
 WORKDIR /opt/groundwalk
 COPY . .
 RUN pip install --no-cache-dir --disable-pip-version-check -c constraints.txt '.[campaign]' \
