@@ -61,8 +61,9 @@ def _planning(table: Path, data: Path) -> tuple[float, float]:
 
 
 def _run(table: Path, data: Path, jobs: int, schedulers: int, every_s: float) -> dict[str, float]:
-    """Run a campaign to its end with so many kills of jobs and of Snakemake, one each `every_s` seconds on average."""
-    rng, start = np.random.default_rng(0), time.monotonic()
+    """Run a campaign to its end with so many kills of jobs and of Snakemake, one each `every_s` seconds on average. How
+    busy cores are is the whole machine's, so that no process is missed: other programs count, too."""
+    rng, start, before = np.random.default_rng(0), time.monotonic(), psutil.cpu_times()
     left = list(rng.permutation(["job"] * jobs + ["scheduler"] * schedulers))
     commands = 0
     while True:
@@ -78,7 +79,17 @@ def _run(table: Path, data: Path, jobs: int, schedulers: int, every_s: float) ->
             break
         if time.monotonic() - start > _LONGEST_S:
             raise RuntimeError("the campaign doesn't end")
-    return {"seconds": time.monotonic() - start, "commands": commands, "kills left": len(left)}
+    spent = [now - then for now, then in zip(psutil.cpu_times(), before, strict=True)]
+    idle = sum(s for name, s in zip(before._fields, spent, strict=True) if name in ("idle", "iowait"))
+    busy = 100 * (1 - idle / sum(spent))
+    result = {
+        "seconds": time.monotonic() - start,
+        "cores busy (%)": busy,
+        "commands": commands,
+        "kills left": len(left),
+    }
+    print(", ".join(f"{name}: {value:,.0f}" for name, value in result.items()), flush=True)
+    return result
 
 
 def _kill(campaign: psutil.Process, what: str) -> bool:

@@ -23,12 +23,13 @@ from groundwalk.cli import all_commands, stage_of
 from groundwalk.pipeline import Step, check, is_step_up_to_date, steps
 from groundwalk.store import progress
 from groundwalk.store.__main__ import link_folder
-from groundwalk.store.cli import DataOption, ProfileOption, new_app
+from groundwalk.store.cli import EXPECTED_VERSION, DataOption, ProfileOption, new_app, version_of
 from groundwalk.store.cores import usable_cores
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import read_json, write_json, written_aside
 from groundwalk.store.locks import locked
 from groundwalk.store.manifests import MANIFEST
+from groundwalk.store.runs import finished_stages
 from groundwalk.store.settings import STAGES, DataRoot, checked_name
 
 app = new_app("Many scenes.")
@@ -38,7 +39,10 @@ _ATTEMPTS = 3  # each with so many times the memory and time of the first
 # Where no finished run says what a stage takes; of one that does, so many times as much.
 _DEFAULT_MIB, _DEFAULT_MINUTES, _MARGIN = 4096, 60, 1.5
 # Another node, or more memory, may do: words of errors that a stage ends with as it does with refusals.
-_MACHINES = "no space left|quota exceeded|memory is used up|allocate memory|input/output error|stale file handle"
+_MACHINES = (
+    "no space left|quota exceeded|memory is used up|allocate memory|input/output error|stale file handle"
+    "|another version of groundwalk"
+)
 _SEVERAL_CORES = {"sfm", "localise", "train"}
 _MAX_CORES = 8
 
@@ -104,7 +108,7 @@ def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str
     jobs: dict[str, Job] = {}
     problems: dict[str, str] = {}
     seen: set[str] = set()
-    for number, row in enumerate(_rows(table), start=2):
+    for number, row in enumerate(read_scenes(table), start=2):
         scene = row["scene"]
         of_scene = f"{row.get('profile', profile)}/{scene}"
         if of_scene in seen:
@@ -120,7 +124,8 @@ def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str
     return list(jobs.values()), problems
 
 
-def _rows(table: Path) -> Iterator[dict[str, str]]:
+def read_scenes(table: Path) -> Iterator[dict[str, str]]:
+    """The lines of a CSV of scenes: `scene`, and what else is filled in. UserError for a table that isn't one."""
     if not table.is_file():
         raise UserError("there is no such table of scenes", where=table, expected=f"a CSV of {', '.join(_COLUMNS)}")
     try:
@@ -168,15 +173,16 @@ def write_workflow(folder: Path, jobs: list[Job], problems: dict[str, str], data
     write_json(folder / PLAN, content)
     rules = [_RULE.format(command=c, retries=_ATTEMPTS - 1, run=_shell(c, data)) for c in commands]
     with written_aside(folder / WORKFLOW) as partial:
-        partial.write_text(_HEAD.format(plan=PLAN) + "".join(rules), encoding="utf-8")
+        partial.write_text(_HEAD.format(plan=PLAN, folder=str(folder)) + "".join(rules), encoding="utf-8")
 
 
-_HEAD = """# Written by `groundwalk campaign`, not to be edited. It runs by itself, too, in this folder:
+_HEAD = """# Written by `groundwalk campaign`, not to be edited. Where its folder has this path it runs by itself, too:
 #     snakemake --cores 2 --keep-going
 import json
 from pathlib import Path
 
-PLAN = json.loads(Path(workflow.basedir, "{plan}").read_text())
+FOLDER = Path({folder!r})
+PLAN = json.loads((FOLDER / "{plan}").read_text())
 needs = lambda command: lambda w: [f"done/{{n}}" for n in PLAN["needs"][f"{{w.profile}}/{{w.scene}}/{{command}}"]]
 kind = lambda w, command: PLAN["resources"][f"{{w.profile}}/{{command}}"]
 take = lambda command, what: lambda w, attempt: attempt * kind(w, command)[what]
@@ -191,7 +197,7 @@ _RULE = """
 rule stage_{command}:
     input: needs("{command}")
     output: touch("done/{{profile}}/{{scene}}/{command}")
-    params: log="logs/{{profile}}/{{scene}}/{command}.log"
+    params: log=lambda w: f"{{FOLDER}}/logs/{{w.profile}}/{{w.scene}}/{command}.log"
     threads: lambda w: kind(w, "{command}")["threads"]
     resources: mem_mb=take("{command}", "mem_mb"), runtime=take("{command}", "runtime")
     retries: {retries}
@@ -203,11 +209,12 @@ def _shell(command: str, data: DataRoot) -> str:
     """What a job does, as text of the workflow. What a stage refuses it refuses each time: it isn't tried again, and
     the report says so; but for what the machine lacks, which another one may have. The log is no `log` of Snakemake's,
     which removes these before another attempt. Packages' own commands leave the page of all runs alone, which the
-    campaign writes once."""
+    campaign writes once. A worker with another version of groundwalk says so."""
     python = f"OMP_NUM_THREADS={{threads}} {shlex.quote(sys.executable)} -P -m"
     packages = {one.name: f"groundwalk.{one.module.rpartition('.')[0]}" for one in all_commands()}
     options = f"--scene {{wildcards.scene:q}} --profile {{wildcards.profile:q}} --data {shlex.quote(str(data.root))}"
-    run = f"{python} {packages[command]} {options} > $log 2>&1"
+    version = "" if command == "simulate" else f"{EXPECTED_VERSION}={shlex.quote(version_of(stage_of(command)))} "
+    run = f"{version}{python} {packages[command]} {options} > $log 2>&1"
     report = f" {python} {packages['report']} --force {options} > $log.report 2>&1 || true;"
     after = "" if command in ("simulate", "import", "report") else report
     return repr(
@@ -219,9 +226,9 @@ def _shell(command: str, data: DataRoot) -> str:
 
 def _resources(profile: str, command: str, data: DataRoot) -> dict[str, int]:
     """Cores, MiB and minutes of a command: by the finished runs of the data folder with this profile."""
-    made = [read_json(path) for path in (data.root / "runs" / profile).glob(f"*/{command}/{MANIFEST}")]
-    mib = max((float(one.get("peak_memory_mib") or 0) for one in made), default=0) * _MARGIN
-    minutes = max((float(one.get("total_seconds") or 0) for one in made), default=0) * _MARGIN / 60
+    made = finished_stages(data, command, profile)
+    mib = max((one.mib for one in made), default=0) * _MARGIN
+    minutes = max((one.seconds for one in made), default=0) * _MARGIN / 60
     threads = min(usable_cores(), _MAX_CORES) if command in _SEVERAL_CORES else 1
     measured = {"mem_mb": round(mib) + 512, "runtime": round(minutes) + 5}
     return {"threads": threads, **(measured if made else {"mem_mb": _DEFAULT_MIB, "runtime": _DEFAULT_MINUTES})}

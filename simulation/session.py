@@ -81,11 +81,8 @@ def outline(settings: SimulateSettings, scene: str, seed: int) -> list[SessionOu
     rng = np.random.default_rng([seed, zlib.crc32(scene.encode())])
     boot = rng.uniform(15_000, 40_000)
     sessions = []
-    for kind, frames, min_sessions in (
-        ("train", settings.train_frames, settings.train_sessions),
-        ("test", settings.test_frames, settings.test_sessions),
-    ):
-        total = max(2, round(settings.frame_fraction * frames))
+    for kind, min_sessions in (("train", settings.train_sessions), ("test", settings.test_sessions)):
+        total = settings.images[kind]
         count = max(min_sessions, math.ceil(total / settings.image_hz / MAX_SESSION_S))
         for k in range(count):
             images = (k + 1) * total // count - k * total // count

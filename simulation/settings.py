@@ -54,6 +54,12 @@ class SimulateSettings(Settings):
     def height(self) -> int:
         return 3 * self.width // 4
 
+    @property
+    def images(self) -> dict[str, int]:
+        """Images that are simulated, of all training walks and of all test walks."""
+        frames = {"train": self.train_frames, "test": self.test_frames}
+        return {kind: max(2, round(self.frame_fraction * count)) for kind, count in frames.items()}
+
     @field_validator("lens")
     @classmethod
     def _refuse_impossible(cls, lens: tuple[float, float, float] | Drawn) -> tuple[float, float, float] | Drawn:

@@ -125,28 +125,34 @@ class Frames:
         return normalised(to_tensor(crops, device))
 
     def training_crops(
-        self, view: View, turn_deg: tuple[float, float, float] | None, rng: np.random.Generator, device: torch.device
+        self,
+        view: View,
+        turn_deg: tuple[float, float, float] | None,
+        rng: np.random.Generator,
+        device: torch.device,
+        part: slice = slice(None),
     ) -> tuple[Tensor, PoseBatch]:
-        """Images (N, 3, height, width) in 0..1 for training, and the poses that they are to be given.
+        """Images (M, 3, height, width) in 0..1 of a part of the frames for training, and the poses that they are to be
+        given. Random numbers are drawn for all frames.
 
         Without `turn_deg`, a crop anywhere in the image with the image's pose, as the paper has it. With it, the
         largest yaw, pitch and roll either way, the picture that the camera would have taken turned by a random angle
         about its centre, and that turned pose: turning doesn't change what is visible from where, so the picture is
         right without knowing the scene.
         """
-        crops, quaternions = [], self.quaternion_N4
+        mine = self.select(np.arange(len(self))[part])
+        crops, quaternions = [], mine.quaternion_N4
         if turn_deg is None and not view.upright:
-            for index in self.index_N:
-                image = self.cache[index]
-                sides = zip(image.shape[:2], (view.height, view.width), strict=True)
-                top, left = (int(rng.integers(0, side - seen + 1)) for side, seen in sides)
-                crops.append(image[top : top + view.height, left : left + view.width])
+            spare_N2 = self.cache.shapes[self.index_N] - (view.height, view.width)
+            corners = [[int(rng.integers(0, spare + 1)) for spare in spares] for spares in spare_N2]
+            for index, (top, left) in zip(mine.index_N, corners[part], strict=True):
+                crops.append(self.cache[index][top : top + view.height, left : left + view.width])
         else:
-            angles = rng.uniform(-1, 1, (len(self), 3)) * (turn_deg or (0, 0, 0))
-            cam_R_turned = self.seen(view) * Rotation.from_euler("yxz", angles, degrees=True)
-            crops = self._turned(cam_R_turned, view, device)
+            angles = rng.uniform(-1, 1, (len(self), 3))[part] * (turn_deg or (0, 0, 0))
+            cam_R_turned = mine.seen(view) * Rotation.from_euler("yxz", angles, degrees=True)
+            crops = mine._turned(cam_R_turned, view, device)
             quaternions = (Rotation.from_quat(quaternions) * cam_R_turned).as_quat()
-        return to_tensor(crops, device), pose_batch(self.position_N3, quaternions, self.scene_N, device)
+        return to_tensor(crops, device), pose_batch(mine.position_N3, quaternions, mine.scene_N, device)
 
     def _turned(self, cam_R_turned: Rotation, view: View, device: torch.device) -> list[Image]:
         """What the cameras see after these turns; for a GPU, which one thread can't keep busy, cropped by several."""
@@ -188,15 +194,22 @@ def normalised(image_N3HW: Tensor) -> Tensor:
     return (image_N3HW - mean) / torch.tensor(IMAGENET_STD, device=image_N3HW.device)[:, None, None]
 
 
-def jittered(image_N3HW: Tensor, extents: tuple[float, float, float, float], rng: np.random.Generator) -> Tensor:
+def jittered(
+    image_N3HW: Tensor,
+    extents: tuple[float, float, float, float],
+    rng: np.random.Generator,
+    count: int | None = None,
+    part: slice = slice(None),
+) -> Tensor:
     """Images in 0..1 with colours changed at random, each in its own way. extents: the largest relative change of
-    brightness, contrast and saturation, and of hue in turns of the colour circle, made in this order."""
+    brightness, contrast and saturation, and of hue in turns of the colour circle, made in this order. The images are a
+    `part` of so many; random numbers are drawn for all."""
     if not any(extents):
         return image_N3HW
     brightness, contrast, saturation, hue = extents
 
     def draw(extent: float) -> Tensor:
-        values = rng.uniform(-extent, extent, (len(image_N3HW), 1, 1, 1))
+        values = rng.uniform(-extent, extent, (len(image_N3HW) if count is None else count, 1, 1, 1))[part]
         return torch.tensor(values, dtype=torch.float32, device=image_N3HW.device)
 
     image = (image_N3HW * (1 + draw(brightness))).clamp(0, 1)

@@ -14,6 +14,7 @@ from groundwalk.store import UserError
 from groundwalk.store.child import Report
 from groundwalk.store.files import written_aside
 from groundwalk.store.hints import setting_of
+from groundwalk.training import processes
 from groundwalk.training.data import Frames
 from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
 from groundwalk.training.regressor_settings import RegressorSettings
@@ -26,7 +27,8 @@ _GROWTH = 10.0  # by how many times itself the first epoch's loss may grow
 
 
 def train(report: Report, model: PoseRegressor, training: Frames, held_out: Frames, run: Run) -> None:
-    """Train `model` until the checkpoint in `run.folder` holds all its epochs; `take_best` reads it.
+    """Train `model` until the checkpoint in `run.folder` holds all its epochs; `take_best` reads it. Of several
+    processes the first one tests and writes.
 
     The best epoch has the smallest `held_out_score`. UserError where the loss isn't finite or grows; the checkpoint is
     then the last one before.
@@ -56,6 +58,8 @@ def train(report: Report, model: PoseRegressor, training: Frames, held_out: Fram
     for epoch in range(len(history), settings.epochs):
         started = time.monotonic()
         train_loss, rate = train_epoch(model, source, gradient, optimiser, epoch, run)
+        if processes.rank():
+            continue
         refuse_divergence(train_loss, rate, history, run)
         position_m, rotation_deg = source.errors()
         row = {
@@ -91,7 +95,7 @@ def train_epoch(
 ) -> tuple[float, float]:
     """One pass over the rows of `source`; returns the mean loss and the last step's learning rate."""
     settings = run.settings
-    torch.manual_seed(run.seed * 100_003 + epoch)
+    torch.manual_seed(run.seed * 100_003 + epoch + (processes.rank() << 40))  # dropout's, another one's own
     rng = np.random.default_rng([run.seed, epoch])
     model.train()
     batches = list(epoch_batches(source.scene_N, settings.batch, rng))
@@ -104,7 +108,7 @@ def train_epoch(
         if settings.training.clip_gradient:
             torch.nn.utils.clip_grad_norm_(model.parameters(), settings.training.clip_gradient)
         optimiser.step()
-    return torch.stack(losses).mean().item(), rate
+    return processes.mean(torch.stack(losses).mean()).item(), rate
 
 
 def refuse_divergence(train_loss: float, rate: float, history: list[dict[str, Any]], run: Run) -> None:

@@ -33,6 +33,14 @@ class TrainSettings(Settings):
         description="CPU threads a model; the models train side by side, and another number gives slightly different"
         " results",
     )
+    # Not among what the results depend on: a run goes on from its checkpoint with any number.
+    processes: int = Field(
+        1,
+        gt=0,
+        exclude=True,
+        description="processes of this machine that share each model's batches, on GPUs one each; the results are the"
+        " same to rounding (docs/explanation/training.md)",
+    )
     precision: Literal["auto", "fp32", "bf16"] = Field(
         "auto",
         description="of training; auto: bf16 (bfloat16) where the processor has units for it, else fp32",
@@ -59,4 +67,10 @@ class TrainSettings(Settings):
             raise ValueError(f"crop {self.crop} is larger than resize {self.resize}")
         if not self.models and not self.predictions:
             raise ValueError("neither models nor predictions name a regressor")
+        for name, batch in ((name, self.regressors[name].batch) for name in self.models if name in self.regressors):
+            if self.processes > 1 and (batch % self.processes or batch < 2 * self.processes):
+                raise ValueError(
+                    f"{self.processes} processes can't share batches of {batch} images: set processes to a number that "
+                    f"divides regressors.{name}.batch, of which each gets two or more"
+                )
         return self

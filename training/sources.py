@@ -10,6 +10,7 @@ from torch import Tensor
 
 from groundwalk.store.child import Report
 from groundwalk.store.files import written_aside
+from groundwalk.training import processes
 from groundwalk.training.data import Frames, View, jittered, normalised, pose_batch
 from groundwalk.training.evaluation import errors, pose_errors
 from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
@@ -46,10 +47,13 @@ def augmented(
     turn_deg: tuple[float, float, float] | None,
     jitter: tuple[float, float, float, float],
     rng: np.random.Generator,
+    part: slice = slice(None),
 ) -> tuple[Tensor, PoseBatch]:
-    """Training crops of the frames, re-coloured and normalised, and their poses."""
-    image, poses = frames.training_crops(run.view, turn_deg, rng, run.device)
-    return normalised(jittered(image, jitter, rng)).contiguous(memory_format=torch.channels_last), poses
+    """Training crops of a part of the frames, re-coloured and normalised, and their poses. Random numbers are drawn for
+    all frames, so that a frame's are the same whatever the part."""
+    image, poses = frames.training_crops(run.view, turn_deg, rng, run.device, part)
+    image = jittered(image, jitter, rng, len(frames), part)
+    return normalised(image).contiguous(memory_format=torch.channels_last), poses
 
 
 class ImageSource:
@@ -60,9 +64,10 @@ class ImageSource:
         self.scene_N = training.scene_N
 
     def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
-        """What the loss of some rows is computed from (see `gradient_step`), and the true poses."""
-        recipe = self.run.settings.training
-        return augmented(self.training.select(rows), self.run, recipe.turn_deg, recipe.jitter, rng)
+        """What the loss of this process's share of some rows is computed from (see `gradient_step`), and the true
+        poses."""
+        recipe, training = self.run.settings.training, self.training.select(rows)
+        return augmented(training, self.run, recipe.turn_deg, recipe.jitter, rng, processes.share())
 
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Position (m) and rotation errors (deg) on the held-out frames."""
@@ -79,7 +84,8 @@ class FeatureSource:
     ) -> None:
         self.model, self.training, self.held_out, self.run = model, training, held_out, run
         self.scene_N = np.tile(training.scene_N, COPIES + 1)
-        features, self.quaternion_M4 = feature_cache(model, training, run, report)
+        with processes.first_alone():
+            features, self.quaternion_M4 = feature_cache(model, training, run, report)
         model.eval()
         if not resumed:
             rows = np.linspace(0, len(features) - 1, min(len(features), _FIT_ROWS)).astype(np.int64)
@@ -91,6 +97,7 @@ class FeatureSource:
 
     def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
         """As of images."""
+        rows = rows[processes.share()]
         frames = rows % len(self.training)
         position, scene = self.training.position_N3[frames], self.training.scene_N[frames]
         poses = pose_batch(position, self.quaternion_M4[rows], scene, self.run.device)

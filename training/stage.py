@@ -2,9 +2,11 @@
 
 import json
 import platform
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -17,6 +19,7 @@ from groundwalk.store.child import Report, Task, in_children
 from groundwalk.store.hints import setting_of
 from groundwalk.store.registry import PluginError
 from groundwalk.store.schemas import schema
+from groundwalk.training import processes
 from groundwalk.training.build import Trained, save_trained
 from groundwalk.training.checks import check_regressor
 from groundwalk.training.data import Frames, ImageCache, View
@@ -77,7 +80,7 @@ def run(r: StageRun[TrainSettings]) -> None:
     r.warn_of_scale()
     frames = read_frames(r)
     torch.set_num_threads(r.settings.threads)
-    device = choose_device(r.settings.device)
+    device = choose_device(r.settings.device, r.settings.processes)
     imported = list(read_imported(r, frames))
     models = models_of(r)
     if models:
@@ -109,15 +112,22 @@ def run(r: StageRun[TrainSettings]) -> None:
     write_results(r, frames, data[r.settings.resize].cache, results)
 
 
-def choose_device(wanted: str) -> torch.device:
-    """The device to train on; UserError where a GPU is asked for and there is none."""
+def choose_device(wanted: str, count: int = 1) -> torch.device:
+    """The device to train on; UserError where a GPU is asked for and there is none, or not one for each process."""
     if wanted == "cuda" and not torch.cuda.is_available():
         raise UserError(
             "no CUDA device",
             found="device = cuda, which PyTorch doesn't see",
             do="set " + setting_of("train", 'device = "auto"'),
         )
-    return torch.device("cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu")
+    device = torch.device("cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu")
+    if device.type == "cuda" and count > max(1, torch.cuda.device_count()):
+        raise UserError(
+            "each process trains on a GPU of its own",
+            found=f"{torch.cuda.device_count()} GPUs for {count} processes",
+            do="set a smaller number of " + setting_of("train", "processes"),
+        )
+    return device
 
 
 def choose_precision(
@@ -202,25 +212,42 @@ def prepare(r: StageRun[TrainSettings], name: str, data: Frames, frames: pd.Data
 
 
 def train_all(r: StageRun[TrainSettings], jobs: list[Job], faults: list[PluginError]) -> list[Job]:
-    """Train the models, each in a process of its own: two on a thread each are done sooner than one after the other on
+    """Train the models, each in processes of its own: two on a thread each are done sooner than one after the other on
     two. Returns those that were trained."""
     if not jobs:
         return []
     with r.step("train"):
-        tasks = [Task(_train, (job, r.settings.threads), job.run.settings.epochs) for job in jobs]
-        title = f"training {', '.join(job.run.title for job in jobs)}"
-        ended = in_children(title, r.scratch / "log.txt", _TOO_LITTLE, tasks)
+        title, count = f"training {', '.join(job.run.title for job in jobs)}", r.settings.processes
+        with tempfile.TemporaryDirectory() as meetings:
+            tasks = [
+                Task(
+                    _train,
+                    (job, r.settings.threads, processes.Part(rank, count, Path(meetings, job.run.title))),
+                    0 if rank else job.run.settings.epochs,
+                )
+                for job in jobs
+                for rank in range(count)
+            ]
+            ended = in_children(title, r.scratch / "log.txt", _TOO_LITTLE, tasks)[::count]
     faults += [fault for fault in ended if fault is not None]
     return [job for job, fault in zip(jobs, ended, strict=True) if fault is None]
 
 
-def _train(report: Report, job: Job, threads: int) -> PluginError | None:
-    """`train` in another process; returns what a plug-in did wrong."""
+def _train(report: Report, job: Job, threads: int, part: processes.Part) -> PluginError | None:
+    """`train` in another process, of which the first one reports; returns what a plug-in did wrong, which ends all
+    where several share a batch."""
     torch.set_num_threads(threads)
     faults: list[PluginError] = []
-    with left_out(job.run.title, faults):
-        train(report, job.model(), job.training, job.held_out, job.run)
+    with left_out(job.run.title, faults), processes.joined(part, job.run.device) as device:
+        run = replace(job.run, device=device)
+        train(report if not part.rank else _no_report, job.model(), job.training, job.held_out, run)
+    if faults and part.count > 1:
+        raise faults[0]
     return faults[0] if faults else None
+
+
+def _no_report(done: int, note: str = "") -> None:
+    """Progress of a process beside the first one."""
 
 
 def finish(r: StageRun[TrainSettings], job: Job, data: Frames, frames: pd.DataFrame, focal: float | None) -> Result:
@@ -247,6 +274,7 @@ def finish(r: StageRun[TrainSettings], job: Job, data: Frames, frames: pd.DataFr
     machine = f"{platform.machine()} CPU, {torch.get_num_threads()} threads"
     if run.device.type == "cuda":
         machine = torch.cuda.get_device_name()
+    shared = f" by {r.settings.processes} processes" if r.settings.processes > 1 else ""
     card = {
         "model": name,
         "label": regressor.label,
@@ -268,7 +296,7 @@ def finish(r: StageRun[TrainSettings], job: Job, data: Frames, frames: pd.DataFr
         "seed": run.seed,
         "config": json.dumps(run.settings.model_dump(mode="json"), sort_keys=True),
         "reduced": reduced(r.settings, run.settings) if regressor.in_paper else None,
-        "device": f"{machine}, trained in {WORDS[run.precision]}",
+        "device": f"{machine}, trained in {WORDS[run.precision]}{shared}",
         "inference_ms": float(estimates["inference_ms"].median()),
         "train_seconds": float(curve["seconds"].sum()),
     }

@@ -4,7 +4,6 @@ MS-T's step is three thousand kernels of some microseconds each, which a process
 than a GPU to run. Recorded once for each shape of a batch, they are launched as one.
 """
 
-from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any, Literal, NamedTuple
 
@@ -12,15 +11,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
+from groundwalk.training import processes
 from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
 from groundwalk.training.poses import PoseBatch
+from groundwalk.training.processes import Loss
 
 Precision = Literal["fp32", "bf16"]
 WORDS: dict[Precision, str] = {"fp32": "float32", "bf16": "bfloat16"}
 _WARM_UP = 3  # steps before recording, in which libraries choose kernels and allocate
-
-# Of inputs and true poses the loss, a scalar.
-Loss = Callable[[Tensor, PoseBatch], Tensor]
 
 
 def gradient_step(model: PoseRegressor, precision: Precision, device: torch.device) -> "GradientStep":
@@ -38,7 +36,8 @@ def gradient_step(model: PoseRegressor, precision: Precision, device: torch.devi
                 return model.feature_loss(inputs, poses)
             return model.loss(inputs, poses)
 
-    return GradientStep(model, loss, record=model.recordable and device.type == "cuda")
+    record = model.recordable and device.type == "cuda" and processes.count() == 1
+    return GradientStep(model, processes.shared(model, loss), record)
 
 
 class _Recording(NamedTuple):

@@ -90,7 +90,8 @@ def in_children(text: str, log: Path, remedy: str, tasks: list[Task]) -> list[An
         with Reporter(text, None if None in totals else sum(t or 0 for t in totals)) as reporter:
             while open_ones := [r for r in running if not r.result]:
                 ready = wait([r.pipe for r in open_ones])
-                for one in open_ones:
+                # One that died is the reason of what those have to say that it worked with.
+                for one in sorted(open_ones, key=lambda one: one.process.is_alive()):
                     if one.pipe in ready:
                         _receive(one, text, log, remedy)
                 notes = " · ".join(r.note for r in running if r.note)

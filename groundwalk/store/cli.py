@@ -1,8 +1,10 @@
 """The command line that every stage shares: `groundwalk <stage> --scene … --profile …`."""
 
 import os
+import platform
 import sys
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -46,6 +48,9 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", help="One setting, key=value as in TOML; may be given several times."),
 ]
+
+EXPECTED_VERSION = "GROUNDWALK_EXPECTED_VERSION"
+"""The environment variable with the version that a campaign expects of whoever runs a stage."""
 
 # Those that numexpr, which pandas loads, and numba read.
 _THREADS = ("OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMEXPR_MAX_THREADS", "NUMBA_NUM_THREADS")
@@ -148,12 +153,27 @@ def stage_command(
         # Here, as it takes a second, and more than `--help`.
         from groundwalk.store.stage import execute
 
+        stage = load()
+        expected = os.environ.get(EXPECTED_VERSION, version_of(stage))
+        if expected != version_of(stage):
+            raise UserError(
+                "this worker has another version of groundwalk than the campaign was planned with",
+                where=f"{platform.node()}, {sys.executable}",
+                expected=expected,
+                found=version_of(stage),
+                do="install the expected version there, or give `groundwalk campaign` again with this one",
+            )
         try:
-            execute(load(), scene, profile, DataRoot(data), set_, seed, force)
+            execute(stage, scene, profile, DataRoot(data), set_, seed, force)
         finally:
             after(DataRoot(data))
 
     return main
+
+
+def version_of(stage: "Stage[Any]") -> str:
+    """The version of what a stage does, in words."""
+    return f"groundwalk {version('groundwalk')}, {stage.name} version {stage.version}"
 
 
 def settings_help(section: str, model: type[Settings]) -> str:

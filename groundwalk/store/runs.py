@@ -49,3 +49,27 @@ def runs_in(data: DataRoot, scene: str = "*") -> Iterator[RunFiles]:
                 verdict=read_json(folder / "report" / "verdict.json"),
                 stopped="; ".join(f"{stage}: {what}" for stage, what in stopped.items() if what),
             )
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A finished stage of a run, and what it took; 0 where its manifest doesn't say."""
+
+    folder: Path
+    manifest: dict[str, Any]
+
+    @property
+    def seconds(self) -> float:
+        """On the clock."""
+        return float(self.manifest.get("total_seconds") or 0)
+
+    @property
+    def mib(self) -> float:
+        """The most memory at once."""
+        return float(self.manifest.get("peak_memory_mib") or 0)
+
+
+def finished_stages(data: DataRoot, stage: str, profile: str = "*") -> list[Finished]:
+    """The runs of a data folder that have finished a stage, of one profile or of all."""
+    paths = sorted((data.root / "runs").glob(f"{profile}/*/{stage}/{MANIFEST}"))
+    return [Finished(path.parent, read_json(path)) for path in paths]

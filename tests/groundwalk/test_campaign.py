@@ -1,14 +1,18 @@
 """Campaigns: a plan of many scenes from a CSV, a workflow that Snakemake reads, and what became of each stage."""
 
 import json
+import platform
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from typer.testing import CliRunner
 
-from groundwalk.campaign import PLAN, Job, State, plan, write_report, write_workflow
+from groundwalk.campaign import PLAN, WORKFLOW, Job, State, plan, write_report, write_workflow
+from groundwalk.capture_import.__main__ import app as import_app
 from groundwalk.store import DataRoot, UserError
 from tests.capture_import.capture_writers import WRITERS, make_walk
 
@@ -72,6 +76,33 @@ def test_a_refused_stage_is_reported_and_stops_no_other_scene(tmp_path: Path) ->
     assert not list(folder.rglob("*.refused"))
     done = {path.relative_to(folder / "done").as_posix() for path in (folder / "done").rglob("*") if path.is_file()}
     assert done == {f"{ONE}/import", f"{ONE}/report"}
+
+
+def test_a_job_that_is_killed_is_run_again_with_more_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("snakemake", reason="campaigns are run by Snakemake: pip install -e '.[campaign]'")
+    python = tmp_path / "python"  # killed twice, as by a system without memory
+    python.write_text('#!/bin/sh\ncd "${0%/*}"; echo >> times; [ $(wc -l < times) = 3 ] || kill -9 $$\n')
+    python.chmod(0o755)
+    folder = tmp_path / "campaign"
+    with monkeypatch.context() as patched:
+        patched.setattr(sys, "executable", str(python))
+        write_workflow(folder, [Job("one", "tiny", "import")], {}, DataRoot(tmp_path / "data"))
+    command = [sys.executable, "-m", "snakemake", "--snakefile", folder / WORKFLOW, "--directory", folder]
+    ended = subprocess.run([*map(str, command), "--cores", "1"], capture_output=True, text=True)
+    said = ended.stdout + ended.stderr
+    assert ended.returncode == 0 and (folder / "done" / ONE / "import").exists(), said
+    assert list(dict.fromkeys(re.findall(r"mem_mb=\d+", said))) == ["mem_mb=4096", "mem_mb=8192", "mem_mb=12288"]
+
+
+def test_a_worker_with_another_version_of_groundwalk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = DataRoot(tmp_path / "data")
+    write_workflow(tmp_path, [Job("one", "tiny", "import")], {}, data)
+    (expected,) = set(re.findall(r"groundwalk [\d.]+, import version \d+", (tmp_path / WORKFLOW).read_text()))
+    monkeypatch.setenv("GROUNDWALK_EXPECTED_VERSION", other := "groundwalk 0.0.9, import version 1")
+    with pytest.raises(UserError, match="another version of groundwalk") as refused:
+        CliRunner().invoke(import_app, ["--scene", "one", "--data", str(data.root)], catch_exceptions=False)
+    details = refused.value.details
+    assert (details["expected"], details["found"]) == (other, expected) and platform.node() in str(details["where"])
 
 
 def test_flags_of_what_is_outdated_go_and_resources_are_those_of_finished_runs(tmp_path: Path) -> None:
