@@ -7,19 +7,21 @@ import signal
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext, SpawnContext
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 from groundwalk.store.errors import UserError
 from groundwalk.store.progress import Reporter
 from groundwalk.store.signals import signals_held_from_workers
 
 _TAIL_LINES = 15
+_OTHERS_ERRORS_S = 0.5
 # A socket's name has at most 107 bytes, of which multiprocessing adds some 32 to the temporary folder's.
 _MAX_FOLDER_BYTES = 70
 # Processes are forked, from one that does nothing else. Elsewhere system libraries don't bear a fork.
@@ -53,6 +55,7 @@ class _Running:
     pipe: Connection
     done: int = 0
     note: str = ""
+    failed: bool = False
     result: list[Any] = field(default_factory=list)
 
 
@@ -90,10 +93,13 @@ def in_children(text: str, log: Path, remedy: str, tasks: list[Task]) -> list[An
         with Reporter(text, None if None in totals else sum(t or 0 for t in totals)) as reporter:
             while open_ones := [r for r in running if not r.result]:
                 ready = wait([r.pipe for r in open_ones])
-                # One that died is the reason of what those have to say that it worked with.
-                for one in sorted(open_ones, key=lambda one: one.process.is_alive()):
-                    if one.pipe in ready:
-                        _receive(one, text, log, remedy)
+                errors = [
+                    error for one in open_ones if one.pipe in ready if (error := _receive(one, text, log, remedy))
+                ]
+                if errors:
+                    # One that died, or was refused, is the reason of what those it worked with have to say.
+                    errors += _errors_of_others(open_ones, text, log, remedy)
+                    raise min(errors, key=lambda e: (not isinstance(e, ProcessDied), not isinstance(e, UserError)))
                 notes = " · ".join(r.note for r in running if r.note)
                 reporter.update(sum(r.done for r in running), f"{text}: {notes}" if notes else None)
         return [one.result[0] for one in running]
@@ -125,25 +131,40 @@ def _hidden_main() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
-def _receive(one: _Running, text: str, log: Path, remedy: str) -> None:
+def _receive(one: _Running, text: str, log: Path, remedy: str) -> Exception | None:
+    """Take in what a process says; the error where it is one, or where it died."""
     try:
         kind, value = one.pipe.recv()
     except EOFError:
+        one.failed = True
         one.process.join()
         code = one.process.exitcode
-        raise ProcessDied(
+        return ProcessDied(
             f"{text}: its process died ({signal.Signals(-code).name if code and code < 0 else f'exit status {code}'})",
             where=log,
             found="its last lines:\n" + _tail(log),
             do=remedy,
             exit_code=code,
-        ) from None
+        )
+    if kind == "error":
+        one.failed = True
+        return cast(Exception, value)
     if kind == "progress":
         one.done, one.note = value
-    elif kind == "error":
-        raise value
     else:
         one.result.append(value)
+    return None
+
+
+def _errors_of_others(open_ones: list[_Running], text: str, log: Path, remedy: str) -> Iterator[Exception]:
+    """Those of processes that fail within a moment of another one."""
+    until = time.monotonic() + _OTHERS_ERRORS_S
+    for one in open_ones:
+        while not one.result and not one.failed and one.pipe.poll(max(0.0, until - time.monotonic())):
+            if error := _receive(one, text, log, remedy):
+                yield error
+            if time.monotonic() > until:
+                break
 
 
 def _work(pipe: Connection, log: Path, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
