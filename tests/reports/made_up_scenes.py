@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Callable
+from html import unescape
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -378,7 +379,7 @@ def rows_of(folder: Path, table: str, file: str = "page.html") -> list[list[str]
     page = page_of(folder, file)
     part = page[page.index(f'id="{table}"') :]
     rows = re.findall(r"<tr.*?</tr>", part[: part.index("</table>")])
-    return [cells for row in rows if (cells := re.findall(r"<td[^>]*>(.*?)</td>", row))]
+    return [list(map(unescape, cells)) for row in rows if (cells := re.findall(r"<td[^>]*>(.*?)</td>", row))]
 
 
 @pytest.fixture(scope="session")
