@@ -30,7 +30,7 @@ app = new_app(__doc__ or "")
 
 _FPS = 2
 _HEADING = (
-    "case", "input", "in the map", "models", "off VIO, RMS", "of the path", "scale", "vertical", "off gravity", "sfm s",
+    "case", "input", "in the map", "models", "off VIO, RMS", "of the path", "scale", "vertical", "off gravity",
 )  # fmt: skip
 
 
@@ -66,7 +66,7 @@ def _run_case(capture: Path, kind: str, vio: pd.DataFrame, images: Sequence[Path
     if not root.captures(scene).exists():
         (_photos if kind == "photos" else _video)(images, root.captures(scene) / kind)
     run_stage("capture_import", scene, root)
-    cost = run_stage("sfm", scene, root)
+    run_stage("sfm", scene, root)
     run_stage("alignment", scene, root)
     truth = read_table(root.run(PROFILE, scene, "align") / "ground_truth.parquet", schema("align", "ground_truth"))
     frames = read_table(root.run(PROFILE, scene, "import") / "frames.parquet", schema("import", "frames"))
@@ -91,7 +91,6 @@ def _run_case(capture: Path, kind: str, vio: pd.DataFrame, images: Sequence[Path
         "scale": figures["scale_source"] + (f", {vio_S_map.scale:.4f} of VIO's" if has_scale else ""),
         "vertical": figures["vertical_source"],
         "off gravity": f"{np.degrees(direction_angles(up_map[None], np.array([0.0, 1, 0]))[0]):.2g}°" if has_up else "",
-        "sfm s": f"{cost.wall_s:.0f}",
     }
 
 

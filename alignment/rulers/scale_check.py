@@ -106,8 +106,8 @@ def describe(check: RulerCheck) -> str:
             f"± {100 * _BOUND_SIGMAS * vio.sd:.2f} %, the ruler's ± {sd_percent:.2f} %)"
         )
     else:
-        other = "the reference" if scale.reference else scale.given_by
-        why = f"the map's scale is by {other}" if other else "VIO moves too little to give a scale"
+        by = "the reference's" if scale.reference else f"by {scale.given_by}" if scale.given_by else ""
+        why = f"the map's scale is {by}" if by else "VIO moves too little to give a scale"
         by_vio = f"95 % bounds ± {sd_percent:.2f} %; {why}"
     text = (
         f"ruler {measurement.ruler.name}: {len(fit.frames)} frames, {_corners(fit)} corners"

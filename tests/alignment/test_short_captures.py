@@ -61,7 +61,7 @@ def test_a_longer_walk_or_a_second_session_decide_the_scale(walks: Walks) -> Non
     """What the check advises."""
     scene = walk(walks, 0, 2.3)
     (check,) = undecided_scale(scene)
-    assert check.advice == "a ruler in view (docs/how-to/ruler.md) or, with odometry, a longer walk or a second session"
+    assert "a ruler in view" in check.advice and "a longer or a second walk" in check.advice
     assert "(limit 2 %)" in check.reason
     assert not undecided_scale(walk(walks, 0, 4.0))
     assert not undecided_scale(walk(walks, 0, 2.3, sessions=2))

@@ -31,7 +31,8 @@ def test_each_run_stands_with_its_state_and_figures(make_run: Callable[..., Data
     best = min(verdict["localisers"], key=lambda row: row["median_position"])
     assert rows["Yard, tiny"][0] == verdict["verdict"] and rows["Yard, tiny"][2] == str(verdict["headline"]["frames"])
     assert rows["Yard, tiny"][-1].startswith(f"{best['localiser']}: {best['median_position']:g} m")
-    assert rows["Lane, tiny"][0] == "no verdict yet; stopped at align: no &lt;scale&gt; &amp; no vertical"
+    assert rows["Lane, tiny"][0] == "no verdict yet; stopped at align: no <scale> & no vertical"
+    assert "no &lt;scale&gt; &amp; no vertical" in page and "<scale>" not in page
     assert rows["Wood, tiny"][0] == "no verdict yet; up to fuse"
     for file in ("page.html", "thumbnail.jpg"):
         assert f'"tiny/Yard/report/{file}"' in page and (data.root / "runs" / "tiny/Yard/report" / file).is_file()
