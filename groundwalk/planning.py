@@ -205,13 +205,15 @@ def _training_seconds(
 
 
 def _print(rows: list[Estimate]) -> None:
-    table = Table("profile", "stage", "by", box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False)
+    for name in ("profile", "stage", "by"):
+        table.add_column(name, no_wrap=True)
     for name in ("runs", "frames", "minutes", "GPU hours", "disk GiB", "peak MiB"):
         table.add_column(name, justify="right", no_wrap=True)
 
     def numbers(minutes: float | None, gpu: float | None, disk: float | None, mib: float | None) -> list[str]:
         formats = ((minutes, ",.1f"), (gpu, ",.2f"), (disk, ",.2f"), (mib, ",.0f"))
-        return [UNMEASURED if value is None else format(value, form) for value, form in formats]
+        return ["–" if value is None else format(value, form) for value, form in formats]
 
     notes = list(dict.fromkeys(row.by for row in rows))
     for row in rows:
