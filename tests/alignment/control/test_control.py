@@ -178,7 +178,7 @@ def test_a_survey_gives_a_map_of_images_alone_scale_and_vertical(place: tuple[Sc
     assert np.arccos(component.vertical.up_sfm @ up) < 4 * component.vertical.sd < np.radians(1)
     assert again.sets_scale and again.used.all() and again.held_out.all() and again.result.status == "passed"
     assert "sets the map's scale ±" in describe(again) and "tilt" not in describe(again)
-    np.testing.assert_allclose(again.error_m, check.error_m, atol=1e-3)
+    np.testing.assert_allclose(again.error_m, check.error_m, atol=1e-6)
 
 
 def one_wrong(enu: Array) -> Array:
