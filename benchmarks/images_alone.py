@@ -17,10 +17,11 @@ import pandas as pd
 import typer
 
 from benchmarks.groundtruth_inputs import PROFILE, run_stage
-from benchmarks.results import circumstances, markdown_table, write_page
+from benchmarks.results import markdown_table, write_page
 from groundwalk.geometry.fits import direction_angles, fit_sim3
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import new_app
+from groundwalk.store.cores import machine
 from groundwalk.store.images import read_image
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
@@ -30,8 +31,9 @@ app = new_app(__doc__ or "")
 
 _FPS = 2
 _HEADING = (
-    "case", "input", "in the map", "models", "off VIO, RMS", "of the path", "scale", "vertical", "off gravity",
-)  # fmt: skip
+    *("case", "input", "in the map", "models", "off VIO, RMS", "of the path", "scale", "vertical", "off gravity"),
+    "revision",
+)
 
 
 def _photos(images: Sequence[Path], folder: Path) -> None:
@@ -81,7 +83,8 @@ def _run_case(capture: Path, kind: str, vio: pd.DataFrame, images: Sequence[Path
     off_m = np.linalg.norm(vio_S_map.points(map_T_cam[both, :3, 3]) - vio_T_cam[both, :3, 3], axis=1)
     path_m = np.linalg.norm(np.diff(vio_T_cam[both, :3, 3], axis=0), axis=1).sum()
     up_map = np.einsum("nij,nkj->nik", map_T_cam[both, :3, :3], vio_T_cam[both, :3, :3])[:, :, 1].mean(axis=0)
-    figures = load_manifest(root.run(PROFILE, scene, "align"))["figures"]
+    manifest = load_manifest(root.run(PROFILE, scene, "align"))
+    figures = manifest["figures"]
     has_up, has_scale = figures["vertical_source"] != "none", figures["scale_source"] != "none"
     return {
         "in the map": f"{int(both.sum())} of {len(truth)}",
@@ -91,6 +94,7 @@ def _run_case(capture: Path, kind: str, vio: pd.DataFrame, images: Sequence[Path
         "scale": figures["scale_source"] + (f", {vio_S_map.scale:.4f} of VIO's" if has_scale else ""),
         "vertical": figures["vertical_source"],
         "off gravity": f"{np.degrees(direction_angles(up_map[None], np.array([0.0, 1, 0]))[0]):.2g}°" if has_up else "",
+        "revision": manifest["git_revision"],
     }
 
 
@@ -119,7 +123,7 @@ def main(
         "their own; off gravity: between the map's +y and ARKit's."
     )
     table = markdown_table([_HEADING, *rows])
-    write_page(out, "images-alone", ["# Photos and video alone", text, circumstances(), table])
+    write_page(out, "images-alone", ["# Photos and video alone", text, f"Machine: {machine()}.", table])
 
 
 if __name__ == "__main__":
