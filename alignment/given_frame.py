@@ -56,8 +56,8 @@ def by_lines(r: StageRun, frames: pd.DataFrame, images: pd.DataFrame, placed: Pl
         small = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         found.append(planes_of_lines(np.asarray(small), camera_of(frames.iloc[row]), sfm_T_cam[row, :3, :3]))
     normals, lengths = (np.concatenate(part) for part in zip(*found, strict=True))
-    by = up_by_lines(normals, lengths, sfm_T_cam[rows, :3, :3]) if len(lengths) >= MIN_LINES else None
-    return NOT_GIVEN if by is None else GivenFrame(None, Vertical(by[0], _LINES_SD, {}, VerticalSource.LINES))
+    up = up_by_lines(normals, lengths, sfm_T_cam[rows, :3, :3]) if len(lengths) >= MIN_LINES else None
+    return NOT_GIVEN if up is None else GivenFrame(None, Vertical(up, _LINES_SD, {}, VerticalSource.LINES))
 
 
 def _of(

@@ -121,12 +121,7 @@ def _check_models(r: StageRun[AlignSettings], inputs: AlignInputs, controls: Seq
         return checked
 
     def by_surveys(checked: CheckedMap) -> GivenFrame:
-        usable = checked.frames.has_ground_truth
-        checks = [
-            control_check.check_control(points, inputs.frames, inputs.sfm.images, checked.placed, usable)
-            for points in controls
-        ]
-        return given_frame.by_surveys(checks, checked.placed[0])
+        return given_frame.by_surveys(_control_checks(controls, inputs, checked), checked.placed[0])
 
     def by_lines(checked: CheckedMap) -> GivenFrame:
         return given_frame.by_lines(r, inputs.frames, inputs.sfm.images, checked.placed[0])
@@ -172,18 +167,23 @@ def _check_by_depth(
     return checks
 
 
+def _control_checks(controls: Sequence[ControlPoints], inputs: AlignInputs, checked: CheckedMap) -> list[ControlCheck]:
+    frames, images, usable = inputs.frames, inputs.sfm.images, checked.frames.has_ground_truth
+    return [control_check.check_control(points, frames, images, checked.placed, usable) for points in controls]
+
+
 def _check_by_control(
     r: StageRun[AlignSettings], controls: Sequence[ControlPoints], inputs: AlignInputs, checked: CheckedMap
 ) -> list[ControlCheck]:
     """The checks by surveyed points; their tables and picture are written."""
-    frames, images, usable = inputs.frames, inputs.sfm.images, checked.frames.has_ground_truth
-    checks = [control_check.check_control(points, frames, images, checked.placed, usable) for points in controls]
+    checks = _control_checks(controls, inputs, checked)
     for check in checks:
         r.say(control_check.describe(check))
     r.write("control", control_table(checks))
     r.write("control_points", points_table(checks))
     if checks:
-        draw_control(r.work / CONTROL_PLOT, checks, poses_in_map(images, checked.placed)[usable, :3, 3])
+        map_T_cam = poses_in_map(inputs.sfm.images, checked.placed)[checked.frames.has_ground_truth]
+        draw_control(r.work / CONTROL_PLOT, checks, map_T_cam[:, :3, 3])
     return checks
 
 
@@ -273,7 +273,7 @@ def _describe_scale(scale: MapScale, has_vio: bool) -> str:
         why = "VIO hardly moves" if has_vio else "there is no VIO"
         add = "a longer walk or a ruler" if has_vio else "a ruler, surveyed points or a recording with VIO"
         return f"NO METRIC SCALE: {why}, all lengths are in SfM's unit; add {add}"
-    by = scale.by if scale.rulers or scale.reference or scale.given_by else f"{len(scale.recordings)} VIO recordings"
+    by = f"{len(scale.recordings)} VIO recordings" if scale.by == ScaleSource.VIO else scale.by
     if scale.reference:
         by += " (± of the fit to it; its own error is unknown)"
     text = f"{np.exp(scale.log):.6g} m per SfM unit ± {100 * scale.sd:.2f} % from {by}"

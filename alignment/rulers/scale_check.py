@@ -12,7 +12,7 @@ from groundwalk.alignment.rulers.measurement import RulerMeasurement
 from groundwalk.alignment.rulers.settings import DistanceRuler
 from groundwalk.consistency.decisions import SIGMAS, Status, decide, within
 from groundwalk.geometry.rulers import RulerFit
-from groundwalk.store.choices import CheckName, FailureCause, RulerPart
+from groundwalk.store.choices import CheckName, FailureCause, RulerPart, ScaleSource
 from groundwalk.store.hints import setting_of
 from groundwalk.store.schemas import schema
 
@@ -113,7 +113,7 @@ def describe(check: RulerCheck) -> str:
         f"ruler {measurement.ruler.name}: {len(fit.frames)} frames, {_corners(fit)} corners"
         f"{' held out' * (check.part is RulerPart.HELD_OUT)}, views {np.degrees(fit.angle):.0f}° apart, {by_vio}"
     )
-    if scale.rulers or scale.reference or scale.given_by:
+    if scale.by != ScaleSource.VIO:
         text += f"; map's scale {100 * np.expm1(scale.log - measurement.log_metres(check.part)):+.2f} %"
     text += f"; corners {fit.reprojection_px:.2f} px RMS"
     if not isinstance(measurement.ruler, DistanceRuler):

@@ -47,10 +47,10 @@ class LineAxes:
     is_up: bool | None
 
 
-def up_by_lines(normals_N3: Array, lengths_N: Array, world_R_cam: Array) -> tuple[Array, LineAxes] | None:
-    """Up (3,) in a world whose vertical isn't known, and what lines say of it: of the best three axes the one that the
-    upright images' mean up is near to, and that the cameras (K, 3, 3) turn about more than about the others. None where
-    they aren't the axes of a room, or none is both."""
+def up_by_lines(normals_N3: Array, lengths_N: Array, world_R_cam: Array) -> Array | None:
+    """Up (3,) in a world whose vertical isn't known: of the best three axes the one that the upright images' mean up is
+    near to, and that the cameras (K, 3, 3) turn about more than about the others. None where they aren't the axes of a
+    room, or none is both."""
     longest = np.argsort(-lengths_N, kind="stable")[:_MAX_LINES]
     normals, weights = normals_N3[longest], lengths_N[longest]
     fitted = [_fitted(axes, normals, weights) for axes in _candidates(normals, weights)]
@@ -64,8 +64,7 @@ def up_by_lines(normals_N3: Array, lengths_N: Array, world_R_cam: Array) -> tupl
     if nearest != turned_about or np.abs(towards[nearest]) < np.cos(_MAX_FROM_CAMERAS):
         return None
     up = best[nearest] * np.sign(towards[nearest])
-    found = line_axes(normals_N3 @ rotation_to_up(up).T, lengths_N)
-    return (up, found) if found.is_up else None
+    return up if line_axes(normals_N3 @ rotation_to_up(up).T, lengths_N).is_up else None
 
 
 def line_axes(normals_N3: Array, lengths_N: Array) -> LineAxes:
