@@ -45,7 +45,7 @@ DEFINITIONS = {
     ),
     CheckName.MAP_SCALE: CheckDefinition(
         "standard error of the metric scale",
-        evidence="a ruler in view (docs/how-to/ruler.md), surveyed points or, with odometry, a longer or a second walk",
+        evidence="a ruler in view (docs/how-to/ruler.md); with odometry a longer or a second walk, without it a survey",
     ),
     CheckName.MAP_VERTICAL: CheckDefinition(
         "standard error of the vertical",
