@@ -130,7 +130,7 @@ bench-recovery: $(installed) #! How fusion methods bear what goes wrong in a wal
 	@$(py) -m benchmarks.fusion_recovery
 
 bench-scale: $(installed) #! Import, sfm and align of one place with 500, 1,000 and 2,500 frames (docs/results); hours
-	@$(py) -m benchmarks.scale
+	@$(py) -m benchmarks.scale sizes
 
 bench-campaign: $(installed) #! A campaign with jobs and Snakemake killed; planning of many scenes (docs/results); hours
 	@$(py) -m benchmarks.campaign

@@ -1,14 +1,17 @@
-"""Import, sfm and align of one place with more and more frames: `python -m benchmarks.scale` (`make bench-scale`).
+"""Import, sfm and align of one place with more and more frames: `python -m benchmarks.scale sizes`
+(`make bench-scale`).
 
 Simulated Church, images of 640x480, the features and pairs of profile demo; two thirds of the frames are for training.
 Each size is kept as `<work>/<frames>.json` when it is done, and the same command goes on with the rest; captures and
 runs are deleted. Writes docs/results/scale.md and scale.csv; sizes that aren't in <work> stay as the .csv there has
-them.
+them. `python -m benchmarks.scale added` adds the last walk to ground truth of all others by `groundwalk add`, beside a
+rebuild: docs/results/added.md.
 """
 
 import json
 import os
 import shutil
+import sys
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,11 +21,15 @@ import numpy as np
 import pandas as pd
 import typer
 
+from benchmarks.cost import measure
 from benchmarks.groundtruth_inputs import PROFILE, ground_truth_targets, run_stage
-from benchmarks.results import circumstances_of, markdown_table, write_page
+from benchmarks.results import circumstances, circumstances_of, markdown_table, write_page
+from groundwalk.geometry.fits import fit_yaw
+from groundwalk.geometry.poses import rotation_angle
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import load_manifest
+from groundwalk.store.tables import poses_of
 
 app = new_app(__doc__ or "")
 
@@ -79,7 +86,7 @@ def _table(rows: pd.DataFrame) -> Iterable[list[str]]:
 
 
 @app.command()
-def main(
+def sizes(
     sizes: Annotated[str, typer.Option(help="Numbers of frames, joined by commas.")] = "500,1000,2500",
     work: Annotated[Path, typer.Option(help="Folder for results and, while a size runs, its data.")] = Path(
         "build/scale"
@@ -102,7 +109,7 @@ def main(
     growth = ", ".join(f"{column.split()[0]}'s {what} {_exponent(rows, column)}" for what, column in costs)
     sections = [
         "# Size of one place",
-        "Written by `make bench-scale` (`python -m benchmarks.scale`), not to be edited; `scale.csv` has every figure. "
+        "Written by `make bench-scale`, not to be edited; `scale.csv` has every figure. "
         "Simulated Church, walked through for longer and longer: 640x480, features and pairs as in profile demo. "
         "MiB: the largest process.",
         circumstances_of(rows["revision"], rows["date"]),
@@ -110,6 +117,60 @@ def main(
         f"Growth from the smallest to the largest, as a power of the number of frames: {growth}.",
     ]
     write_page(out, "scale", sections, [list(rows), *rows.itertuples(index=False)])
+
+
+@app.command()
+def added(
+    frames: Annotated[int, typer.Option(help="Frames of the whole place.")] = 500,
+    walk: Annotated[str, typer.Option(help="The recording that is added.")] = "test-1",
+    work: Annotated[Path, typer.Option(help="Folder for the data, an empty one.")] = Path("build/added"),
+    out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("docs/results"),
+) -> None:
+    """A walk added to a finished ground truth, and a rebuild with it."""
+    rebuilt, grown = DataRoot(work / "rebuilt"), DataRoot(work / "grown")
+    test = frames // _TEST_SHARE
+    run_stage("simulation", _SCENE, rebuilt, f"train_frames={frames - test}", f"test_frames={test}")
+    shutil.copytree(rebuilt.captures(_SCENE), grown.captures(_SCENE), ignore=shutil.ignore_patterns(walk))
+    for module in _MODULES.values():
+        run_stage(module, _SCENE, grown)
+    before = _truth(grown)
+    arguments = [rebuilt.captures(_SCENE) / walk, "--scene", _SCENE, "--profile", PROFILE, "--data", grown.root]
+    command = [sys.executable, "-m", "groundwalk", "add", *map(str, arguments)]
+    adding = measure(command, grown.run(PROFILE, _SCENE))
+    rebuilding = [run_stage(module, _SCENE, rebuilt) for module in _MODULES.values()]
+
+    after, whole = _truth(grown), _truth(rebuilt)
+    is_same = after.loc[before.index].equals(before)
+    both = after.index[(after["quality"] != "none") & (whole.loc[after.index, "quality"] != "none")]
+    poses, others = (poses_of(gt.loc[both], "map_cam") for gt in (after, whole))
+    placed = fit_yaw(others[:, :3, 3], poses[:, :3, 3]) @ poses
+    is_new = ~both.isin(before.index)
+    off_m = np.linalg.norm(placed[:, :3, 3] - others[:, :3, 3], axis=1)[is_new]
+    off_deg = np.degrees(rotation_angle(np.swapaxes(placed[:, :3, :3], 1, 2) @ others[:, :3, :3]))[is_new]
+    wall_s, cpu_s = sum(c.wall_s for c in rebuilding), sum(c.cpu_s for c in rebuilding)
+    rows = [
+        ["", "seconds", "processor seconds", "MiB"],
+        ["import to align", f"{wall_s:.0f}", f"{cpu_s:.0f}", f"{max(c.peak_mib for c in rebuilding):.0f}"],
+        [f"groundwalk add {walk}", f"{adding.wall_s:.0f}", f"{adding.cpu_s:.0f}", f"{adding.peak_mib:.0f}"],
+    ]
+    sections = [
+        "# A walk added to a finished ground truth",
+        "Written by `python -m benchmarks.scale added`, not to be edited. Simulated Church, profile demo.",
+        circumstances(),
+        markdown_table(rows),
+        f"Adding takes {adding.wall_s / wall_s:.0%} of a rebuild's time, {adding.cpu_s / cpu_s:.0%} of its processor "
+        f"time: {is_new.sum()} frames to {len(before)}, whose rows are "
+        f"{'the same to the bit' if is_same else 'CHANGED'}. Poses of the new frames against the rebuild's, after a "
+        f"turn about the vertical and a shift of the whole: median {1e3 * np.median(off_m):.1f} mm and "
+        f"{np.median(off_deg):.3f} deg, at most {1e3 * off_m.max():.1f} mm and {off_deg.max():.3f} deg; "
+        f"{(after['quality'] == 'none').sum()} frames without a pose.",
+    ]
+    write_page(out, "added", sections)
+
+
+def _truth(root: DataRoot) -> pd.DataFrame:
+    path = root.run(PROFILE, _SCENE, "align") / "ground_truth.parquet"
+    return pd.read_parquet(path).set_index("frame_id")
 
 
 if __name__ == "__main__":
