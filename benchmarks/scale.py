@@ -38,11 +38,15 @@ _MODULES = {"import": "capture_import", "sfm": "sfm", "align": "alignment"}
 _TEST_SHARE = 3  # one of so many frames
 
 
-def run_size(frames: int, root: DataRoot) -> dict[str, Any]:
-    """Costs of the stages and errors of the ground truth for so many frames."""
+def _simulate(frames: int, root: DataRoot) -> None:
     test = frames // _TEST_SHARE
     sizes = [f"train_frames={frames - test}", f"test_frames={test}", "frame_fraction=1.0"]
     run_stage("simulation", _SCENE, root, *sizes)
+
+
+def run_size(frames: int, root: DataRoot) -> dict[str, Any]:
+    """Costs of the stages and errors of the ground truth for so many frames."""
+    _simulate(frames, root)
     row: dict[str, Any] = {"frames": frames}
     for stage, module in _MODULES.items():
         cost = run_stage(module, _SCENE, root)
@@ -128,8 +132,7 @@ def added(
 ) -> None:
     """A walk added to a finished ground truth, and a rebuild with it."""
     rebuilt, grown = DataRoot(work / "rebuilt"), DataRoot(work / "grown")
-    test = frames // _TEST_SHARE
-    run_stage("simulation", _SCENE, rebuilt, f"train_frames={frames - test}", f"test_frames={test}")
+    _simulate(frames, rebuilt)
     shutil.copytree(rebuilt.captures(_SCENE), grown.captures(_SCENE), ignore=shutil.ignore_patterns(walk))
     for module in _MODULES.values():
         run_stage(module, _SCENE, grown)
