@@ -201,6 +201,8 @@ def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[
         enu, sd, geodetic = dataset.georeference.places(dataset.map_T_cam[:, :3, 3])
         places = pd.DataFrame(np.hstack([geodetic, enu, sd]), columns=_PLACE)
         pd.concat([exported[["frame_id", "image"]], places], axis=1).to_csv(folder / _PLACES, index=False)
+    # Of further SfM models, which a format may have no place for.
+    written = frames if images == "none" else frames[np.array(placed) != ""]
     content = {
         **about,
         "simulated": dataset.simulated,
@@ -208,10 +210,11 @@ def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[
         "people": people(dataset) if images != "none" else None,
         "undistorted_images": dataset.undistorted,
         "jpeg_quality": JPEG_QUALITY if dataset.undistorted else None,
-        "frames": len(frames),
+        "frames": len(written),
+        "left_out": len(frames) - len(written),
         "excluded": len(dataset.excluded),
-        "by_split": frames["split"].value_counts().sort_index().to_dict(),
-        "by_quality": frames["quality"].value_counts().sort_index().to_dict(),
+        "by_split": written["split"].value_counts().sort_index().to_dict(),
+        "by_quality": written["quality"].value_counts().sort_index().to_dict(),
         "map_origin": dataset.origin,
         "map": f"{dataset.world} before any turn that the format asks for",
         "files": file_names(folder),
