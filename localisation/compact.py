@@ -35,6 +35,11 @@ class Calibration:
     position_floor_m: float
     rotation_floor_rad: float
 
+    def grown(self, covariance: Array) -> Array:
+        """The covariance (6, 6) of an answer whose keypoints' scatter gives this one."""
+        floor = np.repeat([self.rotation_floor_rad, self.position_floor_m], 3)
+        return np.asarray(self.covariance_factor**2 * covariance + np.diag(floor**2))
+
 
 @dataclass(frozen=True)
 class CompactMap:

@@ -7,7 +7,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="localise",
-    version=6,
+    version=7,
     settings=LocaliseSettings,
     needs=("import", "sfm", "align"),
     run=Lazy("groundwalk.localisation.stage:run"),

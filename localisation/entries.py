@@ -36,7 +36,6 @@ MAP = StructureLocaliser(
     colour=colours.LOCALISERS["Map"],
     settings=MapSettings,
     build=Lazy("groundwalk.localisation.build:map_localiser"),
-    gives_covariance=True,
     file=LocaliserFile(
         ".gwm",
         Lazy("groundwalk.localisation.query:write_localiser"),
@@ -51,7 +50,6 @@ HLOC = StructureLocaliser(
     colour=colours.LOCALISERS["HLoc"],
     settings=HLocSettings,
     build=Lazy("groundwalk.localisation.hloc:HLocLocaliser"),
-    gives_covariance=False,
     file=None,
     by_default=True,
 )

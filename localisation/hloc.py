@@ -1,8 +1,8 @@
 """The baseline HLoc (Sarlin et al., "From coarse to fine", CVPR 2019): retrieval, matching with each image, PnP.
 
 All training images' features are kept; a query is matched with the images that look most alike, 2D to 2D, its 3D points
-are those of their tracks, and COLMAP's LO-RANSAC with refinement gives the pose. The features are SIFT's, or those of
-networks, which networks match.
+are those of their tracks, and COLMAP's LO-RANSAC with refinement gives the pose and its covariance, which grows as held
+out training frames ask for. The features are SIFT's, or those of networks, which networks match.
 """
 
 from dataclasses import replace
@@ -13,18 +13,21 @@ from numpy.typing import NDArray
 
 from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
-from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.geometry.poses import Array, inverse, make_pose, skew
 from groundwalk.geometry.vlad import aggregate, k_means
+from groundwalk.localisation.calibration import UNCALIBRATED, Trial, calibrated
 from groundwalk.localisation.entries import HLocSettings
 from groundwalk.localisation.frames import with_lens
 from groundwalk.localisation.localisers import Size
 from groundwalk.localisation.matching import unit
-from groundwalk.localisation.prepared import Prepared, Track, untracked
+from groundwalk.localisation.prepared import MIN_POINTS, Prepared, Track, untracked
 from groundwalk.localisation.results import QueryResult, of_another_size, refused, seen_by
+from groundwalk.localisation.tracks import Points
 from groundwalk.store.choices import Refusal
 
 _WORDS, _SAMPLES = 64, 25_600
 _MAX_PX, _MIN_MATCHES = 12.0, 4
+_HELD_OUT = 30  # training frames, at most, that say what covariances are worth
 
 
 class HLocLocaliser:
@@ -33,8 +36,6 @@ class HLocLocaliser:
     def __init__(self, prepared: Prepared, settings: HLocSettings, track: Track = untracked) -> None:
         self.lenses, self.settings, self.kind = prepared.lenses, settings, prepared.kind
         self.extraction, features = prepared.settings, prepared.training.features
-        self.xyz = prepared.points.xyz
-        """The points (P, 3) of the training frames' tracks."""
         self._features = [replace(f, descriptors=unit(f.descriptors)) for f in features]
         self._sizes = [(camera.width, camera.height) for camera in prepared.training.logged]
         self._descriptor_bytes = features[0].descriptors[:1].nbytes
@@ -48,8 +49,29 @@ class HLocLocaliser:
             ]
         )
         self._first = np.cumsum([0, *(len(f) for f in features)])
-        self._point = np.full(len(every), -1)
-        self._point[prepared.points.feature] = prepared.points.point
+        self._calibrate(prepared, track)
+
+    def _calibrate(self, prepared: Prepared, track: Track) -> None:
+        """Covariances by answers for training frames that are left out, as all that hangs on them is."""
+        training, count = prepared.training, len(self._features)
+        held = np.unique(np.linspace(0, count - 1, min(_HELD_OUT, count // 2), dtype=int))
+        is_used = ~np.isin(np.arange(count), held)
+        self._calibration, trials = UNCALIBRATED, []
+        self._use(prepared.points_of(is_used), is_used)
+        if len(self.xyz) >= MIN_POINTS:
+            for row in track(held.tolist(), "HLoc: calibrating by held-out training frames", len(held)):
+                answer = self.localise_features(training.features[row], training.logged[row])
+                trials.append(Trial(answer, training.views.map_T_cam[row], 0))
+        self._calibration = calibrated(trials)
+        self._use(prepared.points, np.ones(count, bool))
+
+    def _use(self, points: Points, is_used: NDArray[np.bool_]) -> None:
+        """Answer by these points and training images (N,)."""
+        self.xyz = points.xyz
+        """The points (P, 3) of the training frames' tracks."""
+        self._used = np.flatnonzero(is_used)
+        self._point = np.full(self._first[-1], -1)
+        self._point[points.feature] = points.point
 
     def bytes_by_part(self) -> dict[str, int]:
         """What a query needs, in bytes: keypoints as two floats, descriptors as they are, image descriptors as floats,
@@ -86,26 +108,29 @@ class HLocLocaliser:
         if not len(features):
             return refused(Refusal.FEW_FEATURES, "no features: dark or blurred?")
         query = replace(features, descriptors=unit(features.descriptors))
-        similarity = self._images @ aggregate(query.descriptors, self._words)
+        similarity = self._images[self._used] @ aggregate(query.descriptors, self._words)
         size: Size = (camera.width, camera.height)
         matches = []  # keypoints of the query and points (M, 2) by matches with an image
-        for view in np.argsort(-similarity, kind="stable")[: self.settings.retrieved].tolist():
+        for view in self._used[np.argsort(-similarity, kind="stable")[: self.settings.retrieved]].tolist():
             rows = self.kind.match(query, self._features[view], size, self._sizes[view])
             point = self._point[self._first[view] + rows[:, 1]]
             matches.append(np.stack([rows[:, 0], point], axis=1)[point >= 0])
         pairs = np.unique(np.concatenate(matches), axis=0)
         px, pose = features.px.astype(float), None
         if len(pairs) >= _MIN_MATCHES:
-            pose = _absolute_pose(px[pairs[:, 0]], self.xyz[pairs[:, 1]], camera, seed)
-        inlier = np.zeros(len(pairs), bool) if pose is None else pose[1]
+            pose = absolute_pose(px[pairs[:, 0]], self.xyz[pairs[:, 1]], camera, seed)
+        inlier = np.zeros(len(pairs), bool) if pose is None else pose[2]
         seen, needed = seen_by(px, np.arange(len(self.xyz)), pairs, pairs[inlier]), self.settings.min_inliers
         count = int(inlier.sum())
         if pose is None or count < needed:
             return refused(Refusal.THIN_EVIDENCE, f"{count} inliers, {needed} needed", len(pairs), count, seen)
-        return QueryResult(pose[0], None, None, "", len(pairs), count, seen)
+        return QueryResult(pose[0], self._calibration.grown(pose[1]), None, "", len(pairs), count, seen)
 
 
-def _absolute_pose(px: Array, xyz: Array, camera: Camera, seed: int) -> tuple[Array, NDArray[np.bool_]] | None:
+def absolute_pose(px: Array, xyz: Array, camera: Camera, seed: int) -> tuple[Array, Array, NDArray[np.bool_]] | None:
+    """map_T_cam (4, 4) by keypoints px (M, 2) and points xyz (M, 3) in the map, its covariance (6, 6) of (rotation,
+    position) in the map's axes for keypoints that are off by a pixel, and which are inliers (M,); None without a
+    pose."""
     coefficients = np.zeros(8)
     coefficients[: len(camera.distortion)] = camera.distortion
     colmap = pycolmap.Camera(
@@ -117,8 +142,14 @@ def _absolute_pose(px: Array, xyz: Array, camera: Camera, seed: int) -> tuple[Ar
     options = pycolmap.AbsolutePoseEstimationOptions()
     options.ransac.max_error = _MAX_PX * max(camera.width, camera.height) / 640 / 2
     options.ransac.random_seed = seed
-    solution = pycolmap.estimate_and_refine_absolute_pose(px, xyz, colmap, options, return_covariance=False)
+    solution = pycolmap.estimate_and_refine_absolute_pose(px, xyz, colmap, options, return_covariance=True)
     if solution is None:
         return None
     matrix = solution["cam_from_world"].matrix()
-    return inverse(make_pose(matrix[:, :3], matrix[:, 3])), np.asarray(solution["inlier_mask"], bool)
+    map_T_cam = inverse(make_pose(matrix[:, :3], matrix[:, 3]))
+    # Of half the rotation and of the position of cam_T_map, along the camera's axes.
+    to_map = np.zeros((6, 6))
+    to_map[:3, :3] = -2 * map_T_cam[:3, :3]
+    to_map[3:, :3] = -2 * map_T_cam[:3, :3] @ skew(matrix[:, 3])
+    to_map[3:, 3:] = -map_T_cam[:3, :3]
+    return map_T_cam, to_map @ solution["covariance"] @ to_map.T, np.asarray(solution["inlier_mask"], bool)

@@ -102,9 +102,9 @@ class StructureLocaliser(Entry):
     """A structure localiser: `build(prepared, settings, track)` makes it from training frames and
     shows progress with `track`.
 
-    colour: of its poses in recordings. settings: its section [localise.localisers.<id>]. gives_covariance: its answers
-    have one. file: how it's kept for queries outside the stage; None where it isn't. features: the kind that the frames
-    are prepared with. by_default: built where settings name none.
+    colour: of its poses in recordings. settings: its section [localise.localisers.<id>]. file: how it's kept for
+    queries outside the stage; None where it isn't. features: the kind that the frames are prepared with. by_default:
+    built where settings name none.
     """
 
     noun: ClassVar[str] = "structure localiser"
@@ -112,7 +112,6 @@ class StructureLocaliser(Entry):
     colour: Colour
     settings: type[LocaliserSettings]
     build: Callable[["Prepared", Any, "Track"], Localiser] = field(repr=False)
-    gives_covariance: bool
     file: LocaliserFile | None
     features: FeatureKind = SIFT
     by_default: bool = False

@@ -124,9 +124,7 @@ class MapLocaliser:
         if fit is None or agreeing < calibration.min_inliers:
             reason = f"{agreeing} inliers, {calibration.min_inliers} needed"
             return refused(Refusal.THIN_EVIDENCE, reason, count, agreeing, seen)
-        floor = np.diag(np.repeat([calibration.rotation_floor_rad, calibration.position_floor_m], 3) ** 2)
-        covariance = calibration.covariance_factor**2 * fit.covariance + floor
-        return QueryResult(fit.map_T_cam, covariance, None, "", count, agreeing, seen)
+        return QueryResult(fit.map_T_cam, calibration.grown(fit.covariance), None, "", count, agreeing, seen)
 
     def _views_by_votes(self, query: Floats, hidden: NDArray[np.bool_] | None) -> Ints:
         """Training frames that saw most of the points that look like the query's features."""

@@ -12,7 +12,6 @@ import pytest
 
 from groundwalk.localisation.definition import STAGE
 from groundwalk.localisation.inputs import read_inputs
-from groundwalk.localisation.localisers import LOCALISERS
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.localisation.results import QueryResult
 from groundwalk.scoring.errors import position_error, rotation_error_deg
@@ -74,8 +73,7 @@ def test_every_query_is_localised_and_what_it_cost_is_said(boards: Boards) -> No
         mine = models[models["model"] == model].iloc[0]
         assert storage.loc[storage["model"] == model, "bytes"].sum() == mine["bytes"] > 1000
         assert mine["train_frames"] == COUNT - len(queries) and mine["points"] >= 100
-        given = predictions.loc[predictions["model"] == model, "covariance"].notna()
-        assert given.all() if LOCALISERS[model].gives_covariance else not given.any()
+        assert predictions.loc[predictions["model"] == model, "covariance"].notna().all()
         assert manifest["figures"][f"{model} test refused"] == 0
         assert manifest["figures"][f"{model} test within 0.25 m and 2 deg, %"] == 100
     folder = boards.data.run("tiny", "Boards", "localise")
@@ -115,6 +113,7 @@ def test_bad_images_are_refused_as_rows(make_boards: MakeBoards) -> None:
             assert said["covariance"] is None
         assert of_frame(predictions, black, model)["refusal"] == "few_features"
         assert pd.isna(of_frame(predictions, whole, model)["refusal"])
+        assert len(of_frame(predictions, whole, model)["covariance"]) == 36
         assert figures[f"{model} test refused"] == 3 and figures[f"{model} test wrong"] == 0
 
 

@@ -1,0 +1,27 @@
+"""HLoc's covariances: those of poses by pixels that scatter."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.poses import make_pose, transform
+from groundwalk.localisation.hloc import absolute_pose
+from groundwalk.scoring.errors import pose_error
+
+
+def test_a_covariance_is_as_poses_scatter() -> None:
+    """COLMAP's loss makes it larger, in all directions alike."""
+    rng, camera = np.random.default_rng(0), Camera(640, 480, 500.0, 500.0, 320.0, 240.0)
+    map_T_cam = make_pose(Rotation.from_rotvec([0.4, -1.1, 0.3]).as_matrix(), np.array([0.3, -0.2, 0.5]))
+    px, depth = rng.uniform([0, 0], [640, 480], (120, 2)), rng.uniform(1, 5, 120)
+    xyz = transform(map_T_cam, np.column_stack([(px - [320, 240]) / 500, np.ones(120)]) * depth[:, None])
+    errors, covariances = [], []
+    for _ in range(150):
+        found = absolute_pose(px + rng.normal(0, 1, px.shape), xyz, camera, seed=0)
+        assert found is not None and found[2].sum() > 110
+        errors.append(pose_error(found[0], map_T_cam))
+        covariances.append(found[1])
+    sd_ratio = np.sqrt(
+        np.linalg.eigvals(np.linalg.solve(np.mean(covariances, axis=0), np.cov(np.array(errors).T))).real
+    )
+    assert (sd_ratio > 0.6).all() and (sd_ratio < 1.1).all()
