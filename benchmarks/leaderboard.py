@@ -8,7 +8,7 @@ group, over which figures are averaged. A file `about.txt` in the folder says wh
 import hashlib
 import multiprocessing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -43,6 +43,7 @@ app = new_app(__doc__ or "")
 RAW, RULE = "raw", "paper_rule"
 KEY = ["group", "scene", "model"]
 _TABLES = ("frames", "ground_truth", "predictions")
+_THINNED = 5  # frames of which one is asked about
 _PAGE, _TABLE = "fusion.md", "fusion.csv"
 _HEADER = """# Fusion methods beside each other
 
@@ -121,7 +122,17 @@ def cases_of_runs(data: DataRoot) -> tuple[list[Case], list[str]]:
         for kind, table in zip(("regressors", "structure localisers"), predictions, strict=False):
             cases += _cases(f"{kind}, {captures} captures", Inputs(scene, dataset_frames(frames), truth, table))
         names.append(scene)
+    cases += [_thinned(case) for case in cases if case.group.startswith("structure")]
     return cases, [f"runs: {', '.join(names)}", *_without_odometry(names, cases)] if names else []
+
+
+def _thinned(case: Case) -> Case:
+    """The same with few predictions, as of an app that asks a server now and then."""
+    walks = []
+    for walk in case.walks:
+        is_asked = (np.arange(len(walk)) % _THINNED == 0)[:, None, None]
+        walks.append(replace(walk, map_T_cam_predicted=np.where(is_asked, walk.map_T_cam_predicted, np.nan)))
+    return replace(case, group=f"{case.group}, one frame in {_THINNED} asked", walks=walks)
 
 
 def _without_odometry(scenes: Iterable[str], cases: Iterable[Case]) -> list[str]:
