@@ -301,7 +301,8 @@ def regular_system(
     point_inverse = np.swapaxes(lower_inverse, 1, 2) @ lower_inverse
     free = np.zeros((size, 0))
     position = bundle.sfm_T_cam[:, :3, 3]
-    system = System(blocks, columns, local, of_shared, gradient, point_inverse, point_pull, information, free, position)
+    terms = (blocks, columns, local, of_shared, gradient, point_inverse, point_pull)
+    system = System(*terms, information, free, position, bundle.held_frames)
     if len(bundle.held_points):
         return system
     return replace(system, gauge=_stiffness(system.diagonal(), position))
@@ -473,9 +474,9 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
     """
     bundle, cameras = adjusted.bundle, adjusted.cameras
     linear, weight, system = _normal_equations(adjusted)
-    variances, solved = _inverse(system)
+    variances, solved = _inverse(adjusted, system)
     variance = loss_variance(adjusted.loss_px)
-    by_images = np.sum(1 - _of_frames(variance * variances, cameras)[1] / adjusted.priors.angular_sd**2, axis=1)
+    by_images = np.sum(1 - variances[1] / adjusted.priors.angular_sd**2, axis=1)
     pull = np.zeros(len(system.gradient))
     readout = _LOCAL * len(cameras.t_s) + LENS_UNKNOWNS * np.arange(len(cameras.readout_s)) + READOUT
     rolls = np.abs(cameras.readout_s) > _MIN_READOUT_S
@@ -489,17 +490,31 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
 
 def frame_variances(adjusted: Adjusted) -> tuple[Array, Array]:
     """The variances of each frame's focus (N,) and angular velocity (N, 3), rad^2/s^2, by images and priors."""
-    variances, _ = _inverse(_normal_equations(adjusted)[2])
-    return _of_frames(loss_variance(adjusted.loss_px) * variances, adjusted.cameras)
+    return _inverse(adjusted, _normal_equations(adjusted)[2])[0]
 
 
-def _inverse(system: System) -> tuple[Array, Callable[[Array], Array]]:
-    """The diagonal of a system's inverse, and what multiplies a vector by it."""
-    if is_large(len(system.blocks)):
-        solver = IterativeSolver(system, system.diagonal(), 0.0)
-        return solver.variances(), lambda right: solver.solve(right)[0]
-    inverse = inverse_of(system.matrix())
-    return np.diag(inverse), lambda right: inverse @ right
+def _inverse(adjusted: Adjusted, system: System) -> tuple[tuple[Array, Array], Callable[[Array], Array]]:
+    """`frame_variances` of the adjusted bundle's system, and what multiplies a vector by its inverse; what is held has
+    its priors' variances, and isn't moved."""
+    cameras, priors, held = adjusted.cameras, adjusted.priors, adjusted.bundle.held_frames
+    free = system.of_free
+    if is_large(len(free.blocks)):
+        solver = IterativeSolver(free, free.diagonal(), 0.0)
+        diagonal = np.append(solver.variances(), np.zeros(len(free.gradient) - free.size))
+
+        def product(right: Array) -> Array:
+            return solver.solve(right)[0]
+
+    else:
+        inverse = inverse_of(free.matrix())
+        diagonal = np.diag(inverse)
+
+        def product(right: Array) -> Array:
+            return np.asarray(inverse @ right)
+
+    focus, angular = _of_frames(loss_variance(adjusted.loss_px) * system.with_held(diagonal), cameras)
+    focus[held], angular[held] = priors.focus_sd[cameras.session[held]] ** 2, priors.angular_sd[held] ** 2
+    return (focus, angular), lambda right: system.with_held(product(right[system.free]))
 
 
 def _of_frames(unknowns: Array, cameras: Cameras) -> tuple[Array, Array]:

@@ -4,7 +4,7 @@ A pose's errors are a rotation (rad, 3) and a position (sfm units, 3) along the 
 exp(rotation) @ sfm_R_cam, true position = position of sfm_T_cam + position.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -38,7 +38,8 @@ class System:
     (N, s) of G. of_points (l N, 3 P), of_points_shared (G, 3 P): A of the Schur complement A A^T that eliminating the
     points takes away. gradient (l N + G,). point_inverse (P, 3, 3), point_gradient (P, 3): what takes a step back to
     the points. information (l N + G, l N + G): of priors, added to the matrix. gauge (l N, k): H of a stiffness H H^T
-    that is added to the part of the frames' unknowns.
+    that is added to the part of the frames' unknowns. position (N, 3): of the frames. held (H,): frames that stay where
+    they are, whose unknowns are tied to no others.
     """
 
     blocks: Array
@@ -51,6 +52,37 @@ class System:
     information: csr_array
     gauge: Array
     position: Array
+    held: NDArray[np.int64]
+
+    @cached_property
+    def free(self) -> NDArray[np.int64]:
+        """The unknowns that aren't of held frames."""
+        number = np.arange(len(self.gradient))
+        return np.flatnonzero((number >= self.size) | ~np.isin(number // (self.size // len(self.blocks)), self.held))
+
+    @cached_property
+    def of_free(self) -> "System":
+        """The system of the free unknowns."""
+        if not len(self.held):
+            return self
+        frames, free = np.setdiff1d(np.arange(len(self.blocks)), self.held), self.free
+        return replace(
+            self,
+            blocks=self.blocks[frames],
+            columns=self.columns[frames],
+            of_points=_rows_of(self.of_points, frames),
+            gradient=self.gradient[free],
+            information=self.information[free][:, free],
+            gauge=self.gauge[free[free < self.size]],
+            position=self.position[frames],
+            held=self.held[:0],
+        )
+
+    def with_held(self, of_free: Array) -> Array:
+        """A vector of all unknowns by that of the free ones; 0 of others."""
+        every = np.zeros(len(self.gradient))
+        every[self.free] = of_free
+        return every
 
     @property
     def size(self) -> int:
@@ -150,7 +182,11 @@ class Solver:
         self._factor: tuple[Array, bool] | None = None
 
     def solve(self, system: System, diagonal: Array, damping: float, right: Array) -> Array:
-        """x of (matrix + damping * its diagonal) x = right; raises LinAlgError where that isn't positive definite."""
+        """x of (matrix + damping * its diagonal) x = right, 0 of what is held; LinAlgError where the matrix isn't
+        positive definite."""
+        return system.with_held(self._solve(system.of_free, diagonal[system.free], damping, right[system.free]))
+
+    def _solve(self, system: System, diagonal: Array, damping: float, right: Array) -> Array:
         unit = 1 / np.sqrt(diagonal)
         shape = (len(right), len(right))
         scaled = LinearOperator(shape, lambda x: unit * system.times(unit * x) + damping * x, dtype=float)

@@ -99,21 +99,26 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
     force = _forces(linear, weight, fitted[:, None] * linear.residual, bundle.point, system.point_inverse)
     by_keypoint = _rows_of_unknowns(force, adjusted, keypoint_P[bundle.point], keypoints)
     by_rows, by_region = coherence(adjusted, linear.residual, keypoint_P)
-    gauge, h = _gauge_of(bundle.sfm_T_cam[:, :3, 3])
+    free, is_free = system.free, ~np.isin(np.arange(frames), bundle.held_frames)
+    by_keypoint, information = by_keypoint[free], information[free][:, free]
+    gauge, h = _gauge_of(bundle.sfm_T_cam[is_free, :3, 3])
     if len(bundle.held_points):
         gauge, h = np.zeros_like(gauge), np.zeros_like(h)
+    poses = np.zeros((frames, 6, 6))
     try:
-        if is_large(frames):
-            of_shared, poses = _sampled_covariances(adjusted, system, by_keypoint, variance * information, gauge, h)
+        if is_large(free_frames):
+            of_shared, poses[is_free] = _sampled_covariances(
+                adjusted, system, by_keypoint, variance * information, gauge, h
+            )
         else:
-            inverse = inverse_of(system.matrix())
-            of_shared = inverse[10 * frames :]
-            poses = _gauge_free_sandwich(inverse, _dense(by_keypoint, variance**2 * information), gauge, h)
+            inverse = inverse_of(system.of_free.matrix())
+            of_shared = inverse[10 * free_frames :]
+            poses[is_free] = _gauge_free_sandwich(inverse, _dense(by_keypoint, variance**2 * information), gauge, h)
     except LinAlgError:
         return None
     # The part of the keypoints grows with what they have in common, that of the priors doesn't.
     by_keypoints = of_shared @ by_keypoint
-    by_centres = of_shared @ _of_centres(adjusted, linear, weight, system.point_inverse)
+    by_centres = of_shared @ _of_centres(adjusted, linear, weight, system.point_inverse)[free]
     shared = max(by_rows, by_region) * by_keypoints @ by_keypoints.T + by_centres @ by_centres.T
     shared += variance**2 * of_shared @ (information @ of_shared.T)
     return Covariances(SHARED_ERRORS * by_rows * poses, shared, by_rows, by_region)
@@ -122,14 +127,15 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
 def _sampled_covariances(
     adjusted: Adjusted, system: System, by_keypoint: csr_array, information: csr_array, gauge: Array, h: Array
 ) -> tuple[Array, Array]:
-    """Rows of the inverse (G, 10 N + G) of the unknowns that frames share, and the poses' covariances (N, 6, 6) as
-    those of a sample of errors: keypoints and priors pull with random signs and sizes, and the poses give way."""
-    rng, size, total = np.random.default_rng(0), system.size, len(system.gradient)
-    solver = IterativeSolver(system, system.diagonal(), 0.0)
+    """Rows of the free unknowns' inverse (G, F) of those that frames share, and the N free frames' covariances
+    (N, 6, 6) as those of a sample of errors: keypoints and priors pull with random signs and sizes, and the poses give
+    way."""
+    rng, free, of_free = np.random.default_rng(0), system.free, system.of_free
+    solver = IterativeSolver(of_free, of_free.diagonal(), 0.0)
     index, parts = local_unknowns(len(gauge) // 6)[:, :6].ravel(), []
-    of_shared = solver.inverse_times(np.eye(total, total - size, -size))
+    of_shared = solver.inverse_times(np.eye(len(free), len(free) - of_free.size, -of_free.size))
     for _ in track(range(_SAMPLES // _AT_ONCE), "sampling uncertainties"):
-        drawn = np.array([prior_draw(adjusted.cameras, adjusted.priors, rng) for _ in range(_AT_ONCE)])
+        drawn = np.array([prior_draw(adjusted.cameras, adjusted.priors, rng)[free] for _ in range(_AT_ONCE)])
         pulls = by_keypoint @ rng.standard_normal((by_keypoint.shape[1], _AT_ONCE)) + information @ drawn.T
         parts.append(solver.inverse_times(pulls)[index])
     moved = np.hstack(parts)
