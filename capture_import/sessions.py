@@ -169,10 +169,11 @@ def _with_sound_images(
         if image.check.sharpness < min_relative_sharpness * median
     }
     if not recording.clock.has_times:
-        # Of photos that are the same but for metadata, one: for training, where a data set lists it for both sides.
+        # Of photos that are the same but for metadata, one: for training, where a data set lists it for both sides, and
+        # the one whose focal length is known best, as messengers send copies without EXIF.
         first: dict[str, Image] = {}
         sharp = [image for key, image in image_of.items() if key not in faults]
-        for image in sorted(sharp, key=lambda image: image.split == SessionSplit.TEST):
+        for image in sorted(sharp, key=lambda image: (image.split == SessionSplit.TEST, image.camera.focal_sd)):
             first.setdefault(image.check.content_sha256, image)
         for key, image in image_of.items():
             original = first.get(image.check.content_sha256, image)

@@ -18,7 +18,7 @@ from groundwalk.capture_import.checks.features import MAX_FRACTION, find_near_co
 from groundwalk.capture_import.checks.gravity import STATE_GRAVITY, check_gravity, with_gravity
 from groundwalk.capture_import.checks.plausibility import MAX_SPEED_M_S, plausibility_faults
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
-from groundwalk.capture_import.media.blurring import BLURRED, Blurring, FaceDetector, Region, read_boxes, write_boxes
+from groundwalk.capture_import.media.blurring import Blurring, FaceDetector, Region, read_boxes, write_boxes
 from groundwalk.capture_import.media.depth import place_depths
 from groundwalk.capture_import.media.images import quarters_to_upright
 from groundwalk.capture_import.media.placing import Placement, place_images
@@ -34,6 +34,7 @@ from groundwalk.store.errors import MachineError
 from groundwalk.store.files import write_json
 from groundwalk.store.hints import groundwalk_command, setting_of
 from groundwalk.store.images import image_file
+from groundwalk.store.manifests import BLURRED
 from groundwalk.store.registry import PluginError
 from groundwalk.store.schemas import schema
 from groundwalk.store.simulated import are_simulated

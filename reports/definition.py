@@ -13,7 +13,7 @@ class ReportSettings(Settings):
 
 STAGE = Stage(
     name="report",
-    version=21,
+    version=22,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import",),

@@ -31,11 +31,19 @@ _MIN_CONTRAST = 0.02
 
 @dataclass(frozen=True)
 class Workspace:
-    """`images` holds a link to the image of each of N frames, by its name; `scratch` is for checkpoints."""
+    """`images` holds a link to the image of each of N frames, by its name; `scratch` is for checkpoints; `blurred` has
+    by name the boxes (B, 4) that get no features: left, top, right and bottom, px."""
 
     images: Path
     names: Sequence[str]
     scratch: Path
+    blurred: Mapping[str, Array]
+
+    def are_usable(self, row: int, px: NDArray[Any]) -> NDArray[np.bool_]:
+        """Which keypoints (K, 2) of a row's image lie in none of its boxes, (K,)."""
+        boxes = self.blurred.get(self.names[row], np.empty((0, 4)))
+        is_inside = (px[:, None] > boxes[:, :2]) & (px[:, None] < boxes[:, 2:])
+        return ~np.any(np.all(is_inside, axis=2), axis=1)
 
     def in_child(self, text: str, task: Task) -> Any:
         """The result of a task in a child process: an error on one of COLMAP's threads aborts the one it runs in."""
@@ -189,19 +197,21 @@ def features_name(settings: SfmSettings) -> str:
     return f"_{settings.max_image_size}_{settings.max_features}"
 
 
-def extract_features(report: Report, database: Path, images: Path, names: Sequence[str], settings: SfmSettings) -> None:
+def extract_features(report: Report, database: Path, work: Workspace, settings: SfmSettings) -> None:
     """Extract features of the named images, the database's rows in order, into it; images that have theirs are skipped.
 
     Images larger than max_image_size are shrunk first; keypoints are in pixels of the full image.
     """
 
     def features_of(row: int) -> Features:
-        grey = read_grey_image(images / names[row])
-        return even_sift(grey, settings.max_features, settings.max_image_size, _MIN_CONTRAST)
+        grey = read_grey_image(work.images / work.names[row])
+        features = even_sift(grey, settings.max_features, settings.max_image_size, _MIN_CONTRAST)
+        kept = work.are_usable(row, features.px)
+        return Features(features.px[kept], features.size_px[kept], features.descriptors[kept])
 
     sift = pycolmap.FeatureExtractorType.SIFT
     with pycolmap.Database.open(database) as opened:
-        rows = [row for row in range(len(names)) if not opened.exists_keypoints(image_id(row))]
+        rows = [row for row in range(len(work.names)) if not opened.exists_keypoints(image_id(row))]
         described = in_parallel(features_of, rows)
         for row, features in zip(rows, described, strict=True):
             with pycolmap.DatabaseTransaction(opened):

@@ -2,11 +2,14 @@
 
 import json
 import shutil
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.lenses import started, with_lenses, write_lens_database
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log
 from groundwalk.sfm.cameras.starts import ESTIMATED_SD, estimate_focal_lengths, sample_unstated, start_lenses
@@ -31,12 +34,15 @@ from groundwalk.store.child import Task
 from groundwalk.store.choices import AttemptName, Tracking
 from groundwalk.store.files import write_json, written_aside
 from groundwalk.store.hints import run_command
-from groundwalk.store.manifests import FEATURES
+from groundwalk.store.manifests import BLURRED, FEATURES
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of, read_table
 
 _MIN_FRAMES = 3
+# Import blurs a fifth more on each side of a box; where that ends is an edge that moves with whoever is behind it.
+_BLURRED_MORE = 0.3
 _STATED_SIGMAS = 3.0  # beyond which the focal length that EXIF states is told to be wrong
+_FEW_SIGMAS = 7.0  # so far off EXIF's it counts of a camera with one or two photos: of a facade they are off by 25 %
 
 
 def linked_images(r: StageRun[SfmSettings], frames: pd.DataFrame) -> Workspace:
@@ -59,7 +65,18 @@ def linked_images(r: StageRun[SfmSettings], frames: pd.DataFrame) -> Workspace:
         if not link.is_symlink():
             link.parent.mkdir(parents=True, exist_ok=True)
             link.symlink_to(source.absolute())
-    return Workspace(r.scratch / "images", names, r.scratch)
+    return Workspace(r.scratch / "images", names, r.scratch, _blurred(r.folder("import") / BLURRED, frames, names))
+
+
+def _blurred(file: Path, frames: pd.DataFrame, names: Sequence[str]) -> dict[str, Array]:
+    """The boxes that a workspace has, by import's table of what it blurred, where it wrote one."""
+    if not file.is_file():
+        return {}
+    table = pd.read_csv(file).dropna(subset=["kind"])
+    corner, size = table[["x", "y"]].to_numpy(float), table[["width", "height"]].to_numpy(float)
+    boxes = np.hstack([corner - _BLURRED_MORE * size, corner + (1 + _BLURRED_MORE) * size])
+    name_of = dict(zip(frames["frame_id"], names, strict=True))
+    return {name_of[frame_id]: boxes[rows] for frame_id, rows in table.groupby("frame_id").indices.items()}
 
 
 def with_focal_lengths(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Workspace) -> pd.DataFrame:
@@ -71,8 +88,8 @@ def with_focal_lengths(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Wor
     if not path.is_file():
         with r.step("focal lengths"):
             some = frames.iloc[rows].reset_index(drop=True)
-            names = [work.names[row] for row in rows]
-            arguments = (some, work.images, names, r.settings, r.seed, work.scratch / "focal_lengths")
+            of_some = replace(work, names=[work.names[row] for row in rows], scratch=work.scratch / "focal_lengths")
+            arguments = (some, of_some, r.settings, r.seed)
             count = len(rows) * (len(rows) - 1) // 2
             write_json(path, work.in_child("estimating focal lengths", Task(estimate_focal_lengths, arguments, count)))
     found: dict[str, float] = json.loads(path.read_text())
@@ -82,7 +99,11 @@ def with_focal_lengths(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Wor
         if (focal_px := found.get(session_id)) is None:
             r.say(f"session {session_id}: no model tells its focal length: {before_px:.0f} px, by EXIF or a guess")
             continue
-        if abs(np.log(focal_px / before_px)) > _STATED_SIGMAS * frames.loc[of_session, "focal_sd"].median():
+        stated_sd = float(frames.loc[of_session, "focal_sd"].median())
+        sigmas = abs(np.log(focal_px / before_px)) / stated_sd
+        if stated_sd <= ESTIMATED_SD and np.count_nonzero(of_session) < _MIN_FRAMES and sigmas < _FEW_SIGMAS:
+            continue
+        if sigmas > _STATED_SIGMAS:
             r.say(
                 f"warning: session {session_id}: EXIF states a focal length of {before_px:.0f} px, images fit "
                 f"{focal_px:.0f} px, which is used: were they cropped, or edited?"
@@ -124,7 +145,7 @@ def extracted_features(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Wor
         with r.step("features"):
             if not is_begun and (kept := kept_features(r, settings)):
                 copy_features(kept, partial)
-            task = Task(extract_features, (partial, work.images, work.names, settings), len(frames))
+            task = Task(extract_features, (partial, work, settings), len(frames))
             work.in_child("extracting features", task)
         partial.replace(database)
     with_features = np.count_nonzero(keypoint_counts(database, len(frames)))

@@ -66,7 +66,7 @@ def run(r: StageRun[SfmSettings]) -> None:
             # Later steps replace results in the database, by which pairs were chosen for them.
             steps = work.scratch / f"matched_{number}"
             steps.mkdir(exist_ok=True)
-            source = FloorSource(features, work.images, work.names, frames, cameras.lenses, cameras.motion)
+            source = FloorSource(features, work, frames, cameras.lenses, cameras.motion)
             compared = checkpoint(
                 steps / "compared.parquet",
                 lambda: verification.compared_with_vio(

@@ -28,9 +28,9 @@ from groundwalk.capture_import.data_sets import GUESS_SD, guessed_intrinsics, im
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.media.images import BadImage, image_size
 from groundwalk.capture_import.media.video import is_video
-from groundwalk.capture_import.parsing import BadRow, images_in, read_fixes, read_rows, seconds_to_ns
+from groundwalk.capture_import.parsing import BadRow, images_in, in_order, read_fixes, read_rows, seconds_to_ns
 from groundwalk.store.choices import Clock
-from groundwalk.store.text import name_list
+from groundwalk.store.text import name_list, printable
 
 _FOLDERS = ("images", "input", "frames", "photos")
 _MIN_PHOTOS = 3
@@ -41,11 +41,15 @@ _EXIF_SD = 0.05
 _FILM_DIAGONAL_MM = math.hypot(36, 24)
 _MM_OF_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}
 _MAX_ASPECT = 2.4  # of a camera's picture; panoramas are wider
+_PANORAMA = 6  # what iPhones say in CustomRendered; others' panoramas have Google's XMP
+_SCREEN_ASPECT = 1.9  # screens are longer; what messengers send without EXIF is as phones take it, 16:9 at most
+_OTHERS = (".webp", ".tif", ".tiff", ".dng", ".gif", ".bmp", ".avif")
 _SAME_ASPECT = 0.02
 
 
 class _Photo(NamedTuple):
-    """A photo's file, size in pixels as stored, turns, focal length in pixels (None: not stated), camera and date."""
+    """A photo's file, size in pixels as stored, turns, focal length in pixels (None: not stated), camera and date, and
+    whether the file says that it is a panorama."""
 
     file: Path
     width: int
@@ -55,6 +59,7 @@ class _Photo(NamedTuple):
     camera: str
     has_maker: bool
     date: str
+    is_panorama: bool
 
 
 def detect(path: Path) -> bool:
@@ -93,6 +98,7 @@ def _photo(file: Path) -> _Photo:
         with PIL.Image.open(file) as image:
             (width, height), exif = image.size, image.getexif()
             details = exif.get_ifd(PIL.ExifTags.IFD.Exif)
+            has_gpano = b"GPano:ProjectionType" in (image.info.get("xmp") or b"")
     except PIL.UnidentifiedImageError:
         try:
             image_size(start)
@@ -116,15 +122,19 @@ def _photo(file: Path) -> _Photo:
         camera="|".join([" ".join(maker), *lens]),
         has_maker=any(maker),
         date=f"{date}.{_text(details.get(base.SubsecTimeOriginal))}" if date else "",
+        is_panorama=has_gpano or details.get(base.CustomRendered) == _PANORAMA,
     )
 
 
 def _row(place: int, photo: _Photo, has_makers: bool) -> RawFrame:
     width, height = photo.width, photo.height
-    if max(width, height) > _MAX_ASPECT * min(width, height):
+    aspect = max(width, height) / min(width, height)
+    if photo.is_panorama or aspect > _MAX_ASPECT:
         raise BadRow(f"image of {width}x{height} is a panorama: no lens has such a projection")
-    if has_makers and not photo.has_maker and photo.file.suffix.lower() == ".png":
-        raise BadRow("PNG without a camera in its EXIF, among photos that have one: a screenshot or a drawing")
+    is_png = photo.file.suffix.lower() == ".png"
+    if has_makers and not photo.has_maker and (is_png or aspect > _SCREEN_ASPECT):
+        what = "PNG" if is_png else f"image of {width}x{height}"
+        raise BadRow(f"{what} without a camera in its EXIF, among photos that have one: a screenshot or a drawing")
     if photo.orientation not in _QUARTERS:
         raise BadRow(f"EXIF says that the image is stored mirrored (orientation {photo.orientation})")
     quarters = _QUARTERS[photo.orientation]
@@ -211,6 +221,8 @@ def _notes(path: Path, folder: Path, frames: Sequence[RawFrame], dated: bool) ->
     others = [f"{len(images_in(p))} images of {p.name}/" for p in path.glob("*/") if p != folder and images_in(p)]
     if videos := [p.name for p in folder.iterdir() if is_video(p)]:
         others.append(f"{len(videos)} videos (--format video reads them alone)")
+    if kinds := in_order(p for p in folder.iterdir() if p.suffix.lower() in _OTHERS):
+        others.append(f"{len(kinds)} pictures that are no JPEG, PNG or HEIC, such as {printable(kinds[0].name)}")
     return [*notes, f"not read: {name_list(others, 4)}"] if others else notes
 
 

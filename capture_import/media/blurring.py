@@ -27,8 +27,6 @@ from groundwalk.store.hints import setting_of
 from groundwalk.store.text import printable
 
 Kind = Literal["face", "plate"]
-BLURRED = "blurred.csv"
-"""In import's artefact: what was blurred."""
 
 # Cascade, and whether its mirror image is detected as well.
 _CASCADES = (("haarcascade_frontalface_default.xml", False), ("haarcascade_profileface.xml", True))

@@ -1,10 +1,12 @@
 """Images of import.frames: which file each is, its pixels, and its bytes without metadata."""
 
+import contextlib
 import math
 from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
 from numpy.typing import NDArray
 
 from groundwalk.store.errors import UserError
@@ -15,6 +17,13 @@ Image = NDArray[np.uint8]
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_SIGNATURE = b"\xff\xd8\xff"
 _START_OF_SCAN, _COMMENT, _ADOBE = 0xDA, 0xFE, 0xEE
+# How many times smaller a JPEG can be decoded at once.
+_REDUCED = {
+    8: cv2.IMREAD_REDUCED_COLOR_8,
+    4: cv2.IMREAD_REDUCED_COLOR_4,
+    2: cv2.IMREAD_REDUCED_COLOR_2,
+    1: cv2.IMREAD_COLOR_BGR,
+}
 _PNG_METADATA = (b"eXIf", b"tEXt", b"zTXt", b"iTXt", b"tIME")
 
 
@@ -49,14 +58,13 @@ def verify_images(captures: Path, imported: Path) -> None:
         )
 
 
-def read_image(path: Path, *, halved: bool = False) -> Image:
+def read_image(path: Path, *, reduced: int = 1) -> Image:
     """An image file as RGB (H, W, 3), as the sensor has it (a turn in the file's EXIF is left out, since poses and
-    intrinsics are the sensor's); `halved` half as wide and high, which a JPEG is decoded to at once. UserError
-    where it isn't there or can't be decoded."""
+    intrinsics are the sensor's); `reduced` so many times (1, 2, 4 or 8) smaller. UserError where it isn't there or
+    can't be decoded."""
     # OpenCV prints a warning of its own for a file that isn't there.
     is_there = path.exists()
-    colours = cv2.IMREAD_REDUCED_COLOR_2 if halved else cv2.IMREAD_COLOR_BGR
-    image = cv2.imread(str(path), colours | cv2.IMREAD_IGNORE_ORIENTATION) if is_there else None
+    image = cv2.imread(str(path), _REDUCED[reduced] | cv2.IMREAD_IGNORE_ORIENTATION) if is_there else None
     if image is None:
         actual = "a file that isn't an image" if is_there else "no such file"
         raise UserError("an image can't be read", where=path, found=actual, do="import the capture again")
@@ -71,7 +79,11 @@ def read_grey_image(path: Path) -> Image:
 def small_jpeg(path: Path, long_side: int, gravity_x: float, gravity_y: float) -> bytes:
     """A small JPEG of an image file, turned by quarters so that gravity (camera axes, x right, y down; NaN: unknown)
     points down in it as far as it can."""
-    image = cv2.cvtColor(read_image(path, halved=True), cv2.COLOR_RGB2BGR)
+    size = long_side
+    with contextlib.suppress(OSError), PIL.Image.open(path) as opened:
+        size = max(opened.size)
+    reduced = next((times for times in _REDUCED if size >= times * long_side), 1)
+    image = cv2.cvtColor(read_image(path, reduced=reduced), cv2.COLOR_RGB2BGR)
     scale = min(1.0, long_side / max(image.shape[:2]))
     image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     if not math.isnan(gravity_x + gravity_y):

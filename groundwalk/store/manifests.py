@@ -10,6 +10,8 @@ from groundwalk.store.hints import run_command
 from groundwalk.store.settings import STAGES
 
 MANIFEST = "manifest.json"
+BLURRED = "blurred.csv"
+"""In import's artefact: the regions of images that it blurred."""
 FEATURES = "features.db"
 """In sfm's artefact: features and matches, for a run that adds recordings or takes some out."""
 # Not among the hashed outputs: a recording is a view of the tables, and neither it nor a database is the same twice.

@@ -18,7 +18,7 @@ from groundwalk.geometry.lens import undistort
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.rows import evenly
 from groundwalk.sfm.cameras.lenses import PHONE_K1_K2, SceneLenses
-from groundwalk.sfm.database import Ints, create_database, extract_features, image_id
+from groundwalk.sfm.database import Ints, Workspace, create_database, extract_features, image_id
 from groundwalk.sfm.mapping.mappers import pipeline_options
 from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.matching import match_pairs
@@ -59,21 +59,15 @@ def sample_unstated(frames: pd.DataFrame) -> Ints:
 
 
 def estimate_focal_lengths(
-    report: Report,
-    frames: pd.DataFrame,
-    images: Path,
-    names: Sequence[str],
-    settings: SfmSettings,
-    seed: int,
-    work: Path,
+    report: Report, frames: pd.DataFrame, work: Workspace, settings: SfmSettings, seed: int
 ) -> dict[str, float]:
     """The focal length in pixels of each session of these frames, by the largest model of them; of none where there is
     no model."""
-    shutil.rmtree(work, ignore_errors=True)
-    work.mkdir()
-    database = work / "pairs.db"
-    create_database(database, frames, names, _shared_cameras(frames, _STARTS[0]))
-    extract_features(lambda done, note="": None, database, images, names, settings)
+    shutil.rmtree(work.scratch, ignore_errors=True)
+    work.scratch.mkdir()
+    database = work.scratch / "pairs.db"
+    create_database(database, frames, work.names, _shared_cameras(frames, _STARTS[0]))
+    extract_features(lambda done, note="": None, database, work, settings)
     _turn_alike(database, frames)
     # Of cameras without a prior by their fundamental matrices, whatever the focal length that they start from.
     match_pairs(report, database, np.stack(np.triu_indices(len(frames), 1), axis=1), seed)
@@ -84,11 +78,11 @@ def estimate_focal_lengths(
         with pycolmap.Database.open(database) as opened:
             for camera in cameras.values():
                 opened.update_camera(camera)
-        options = pipeline_options(MappingInput(database, images, seed))
+        options = pipeline_options(MappingInput(database, work.images, seed))
         options.ba_refine_focal_length = options.mapper.abs_pose_refine_focal_length = True
-        folder = work / f"models_{number}"
+        folder = work.scratch / f"models_{number}"
         folder.mkdir()
-        for model in pycolmap.incremental_mapping(database, images, folder, options).values():
+        for model in pycolmap.incremental_mapping(database, work.images, folder, options).values():
             size = model.num_reg_images(), model.compute_num_observations()
             if size > found[0] and size[0] >= _MIN_IMAGES:
                 seen = {image.camera_id for image in model.images.values() if image.has_pose}

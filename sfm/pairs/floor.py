@@ -6,7 +6,6 @@ seen from above (inverse perspective mapping), in units of the camera's height o
 by a turn and a shift.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from groundwalk.geometry.epipolar import essential
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.lenses import SceneLenses, lines_of, to_middle_row
 from groundwalk.sfm.cameras.motion import Motion
-from groundwalk.sfm.database import Ints, image_id
+from groundwalk.sfm.database import Ints, Workspace, image_id
 from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.matching import mutual_matches
 from groundwalk.sfm.pairs.odometry import Odometry
@@ -53,11 +52,10 @@ class FloorFeatures:
 
 @dataclass(frozen=True)
 class FloorSource:
-    """The database with the features as extracted, the images, and their N frames with cameras and motion."""
+    """The database with the features as extracted, where the images are, and their N frames with cameras and motion."""
 
     features: Path
-    images: Path
-    names: Sequence[str]
+    work: Workspace
     frames: pd.DataFrame
     lenses: SceneLenses
     motion: Motion
@@ -120,7 +118,10 @@ def match_floor(
         cameras = {row: opened.read_camera(image_id(row)) for row in np.unique(pairs).tolist()}
 
     def features_of(row: int) -> FloorFeatures:
-        return floor_features(read_grey_image(source.images / source.names[row]), cameras[row], vio.gravity_cam[row])
+        grey = read_grey_image(source.work.images / source.work.names[row])
+        floor = floor_features(grey, cameras[row], vio.gravity_cam[row])
+        kept = source.work.are_usable(row, floor.px)
+        return FloorFeatures(floor.on_floor[kept], floor.px[kept], floor.descriptors[kept])
 
     floors = dict(zip(cameras, in_parallel(features_of, cameras), strict=True))
     of_floor = []

@@ -18,6 +18,16 @@ HALVES = {
     "ios_logger": ("Frames.m4v", "ios_logger{place}: ARposes.txt and Frames.txt are here, Frames.m4v is not"),
     "record3d": ("rgb", "Record3D{place}: metadata.json is here, rgbd/ or rgb/ is not"),
     "polycam": ("keyframes/images", "Polycam raw{place}: keyframes/cameras/ is here, keyframes/images/ is not"),
+    "nerf_capture": ("images", "NeRFCapture{place}: transforms.json is here, images/ is not"),
+    "arkit_scenes": (
+        "vga_wide",
+        "ARKitScenes raw{place}: lowres_wide.traj is here, wide/ or vga_wide/ or lowres_wide/ is not",
+    ),
+    "euroc": (
+        "mav0/state_groundtruth_estimate0",
+        "EuRoC{place}: mav0/cam0/data.csv is here, mav0/state_groundtruth_estimate0/data.csv or mav0/mocap0/data.csv "
+        "is not",
+    ),
     "tum": ("groundtruth.txt", "TUM RGB-D lists{place}: rgb.txt is here, groundtruth.txt is not"),
     "rtabmap": ("scan_rgb", "RTAB-Map export{place}: *_camera_poses.txt and *_calib/ are here, *_rgb/ is not"),
     "kitti": ("poses.txt", "KITTI odometry{place}: calib.txt, times.txt and image_2/ are here, poses.txt is not"),

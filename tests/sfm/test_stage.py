@@ -287,3 +287,18 @@ def _blank(room: Room, first: int) -> None:
     for image in room.frames["image"][first:]:
         cv2.imwrite(str(room.data.captures("room") / image), np.full((240, 320), 128, np.uint8))
     room.note_images()
+
+
+def test_what_import_blurred_gets_no_features(tmp_path: Path) -> None:
+    """The table as import writes it: with an image in which nothing was found, and a box that leaves the image."""
+    room = make_room(tmp_path, per_walk=4)
+    lines = ["frame_id,source,kind,x,y,width,height,score", "one/000001,1.jpg,,,,,,"]
+    lines += ["one/000002,2.jpg,face,100,60,100,100,", "two/000000,0.jpg,plate,-9,0,99,50,0.9"]
+    (room.data.run("tiny", "room", "import") / "blurred.csv").write_text("\n".join(lines))
+    with pycolmap.Database.open(_run(room, "max_features=500") / "features.db") as opened:
+        px_of = {image.name: opened.read_keypoints(image.image_id)[:, :2] for image in opened.read_all_images()}
+    for name, grown in {"one/000002.jpg": (70, 30, 230, 190), "two/000000.jpg": (-39, -15, 120, 65)}.items():
+        blurred, other = (
+            np.all((px > grown[:2]) & (px < grown[2:]), axis=1) for px in (px_of[name], px_of["one/000001.jpg"])
+        )
+        assert not blurred.any() and other.sum() > 20 < len(px_of[name])

@@ -28,9 +28,14 @@ BASE: Any = PIL.ExifTags.Base
 
 
 def write_photo(
-    path: Path, index: int = 0, turns: int = 0, size: tuple[int, int] = (WIDTH, HEIGHT), **exif: object
+    path: Path,
+    index: int = 0,
+    turns: int = 0,
+    size: tuple[int, int] = (WIDTH, HEIGHT),
+    xmp: bytes = b"",
+    **exif: object,
 ) -> None:
-    """A picture as it's to be seen, stored so many quarter turns anticlockwise; EXIF's tags by their names."""
+    """A picture as it's to be seen, stored so many quarter turns anticlockwise; EXIF's tags by their names, and XMP."""
     path.parent.mkdir(parents=True, exist_ok=True)
     stored = np.rot90(image(index, *size)[..., ::-1], turns)
     content = PIL.Image.Exif()
@@ -40,7 +45,7 @@ def write_photo(
     content[BASE.ExifOffset] = details
     buffer = io.BytesIO()
     PIL.Image.fromarray(np.ascontiguousarray(stored)).save(
-        buffer, "PNG" if path.suffix == ".png" else "JPEG", quality=95, exif=content
+        buffer, "PNG" if path.suffix == ".png" else "JPEG", quality=95, exif=content, xmp=xmp
     )
     path.write_bytes(buffer.getvalue())
 
@@ -126,6 +131,11 @@ def test_what_is_no_photo_is_named(tmp_path: Path) -> None:
     write_photo(tmp_path / "place" / "Screenshot.png", 5)
     write_photo(tmp_path / "place" / "pano.jpg", 6, size=(900, 200), Model="P")
     write_photo(tmp_path / "place" / "selfie.jpg", 7, Model="P", Orientation=2)
+    write_photo(tmp_path / "place" / "IMG_20.jpg", 8, size=(234, 507))
+    write_photo(tmp_path / "place" / "short_pano.jpg", 9, size=(480, 240), Model="P", CustomRendered=6)
+    write_photo(tmp_path / "place" / "PANO.jpg", 10, Model="P", xmp=b'<a GPano:ProjectionType="cylindrical"/>')
+    (tmp_path / "place" / "b.webp").touch()
+    (tmp_path / "place" / "a.dng").touch()
     (tmp_path / "place" / "IMG_9.HEIC").write_bytes(b"\0\0\0\x18ftypheic" + bytes(100))
     (tmp_path / "place" / "empty.jpg").touch()
     (tmp_path / "place" / "IMG_1.MOV").touch()
@@ -134,13 +144,33 @@ def test_what_is_no_photo_is_named(tmp_path: Path) -> None:
     reasons = {reject.source: reject.reason for reject in raw.rejects}
     for name, part in {
         "Screenshot.png": "a screenshot",
+        "IMG_20.jpg": "image of 234x507 without a camera in its EXIF",
         "pano.jpg": "is a panorama",
+        "short_pano.jpg": "is a panorama",
+        "PANO.jpg": "is a panorama",
         "selfie.jpg": "mirrored",
         "IMG_9.HEIC": "the HEIC can't be decoded",
         "empty.jpg": "image is empty",
     }.items():
         assert part in reasons.pop(name)
-    assert not reasons and any("1 videos" in note for note in raw.notes)
+    assert not reasons and any("1 videos" in note and "2 pictures that" in note for note in raw.notes)
+
+
+def test_of_copies_the_one_whose_focal_length_is_stated_is_kept(tmp_path: Path) -> None:
+    """As messengers send them, without EXIF, under names that come first."""
+    for n in range(4):
+        write_photo(tmp_path / "captures" / "place" / f"IMG_{n}.jpg", n, Model="P", FocalLengthIn35mmFilm=26)
+        write_photo(tmp_path / "captures" / "place" / f"IMG-WA{n}.jpg", n)
+    tables = imported(tmp_path)
+    assert set(tables["frames"]["focal_sd"]) == {0.05} and len(tables["frames"]) == 4
+    assert tables["rejects"]["source"].str.startswith("IMG-WA").all() and len(tables["rejects"]) == 4
+
+
+def test_what_messengers_send_is_kept_beside_photos_with_a_camera(tmp_path: Path) -> None:
+    for n in range(4):
+        write_photo(tmp_path / "place" / f"IMG_{n}.jpg", n, Model="P")
+    write_photo(tmp_path / "place" / "IMG-WA1.jpg", 5, size=(320, 180))
+    assert len(read_one(tmp_path / "place").frames) == 5
 
 
 def test_heic_is_read_upright_and_written_as_jpeg(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from groundwalk.features.sift import even_sift
 from groundwalk.geometry.poses import Array, inverse, make_pose, relative, rotation_angle
 from groundwalk.sfm.cameras.lenses import prior_lenses
 from groundwalk.sfm.cameras.motion import Motion
-from groundwalk.sfm.database import create_database, image_id, read_pair_results
+from groundwalk.sfm.database import Workspace, create_database, image_id, read_pair_results
 from groundwalk.sfm.pairs.floor import FloorSource, floor_features, floor_matches, match_floor
 from groundwalk.sfm.pairs.matching import guide_pairs, match_pairs, mutual_matches
 from groundwalk.sfm.pairs.odometry import odometry
@@ -179,6 +179,6 @@ def scene(folder: Path) -> tuple[FloorSource, Path, Array]:
     motion = Motion(np.zeros((2, 3)), np.zeros(2), np.zeros((2, 3)), np.ones(2, bool))
     turned = make_pose(Rotation.from_rotvec([0, np.radians(1.0), 0]).as_matrix(), [0.01, 0, 0])
     vio_T_cam = np.stack([TURN[0], turned @ TURN[1]])
-    source = FloorSource(features, folder, names, frames, lenses, motion)
+    source = FloorSource(features, Workspace(folder, names, folder, {}), frames, lenses, motion)
     assert np.degrees(rotation_angle((inverse(vio_T_cam[1]) @ TURN[1])[:3, :3])) > 0.9
     return source, database, vio_T_cam

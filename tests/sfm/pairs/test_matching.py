@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import skew
 from groundwalk.sfm.database import (
+    Workspace,
     create_database,
     extract_features,
     has_results,
@@ -41,7 +42,7 @@ def with_features(room: Room, database: Path) -> list[str]:
         link.parent.mkdir(parents=True, exist_ok=True)
         link.symlink_to(room.data.captures("room") / image)
     create_database(database, room.frames, names)
-    extract_features(quiet, database, images, names, SETTINGS)
+    extract_features(quiet, database, Workspace(images, names, images, {}), SETTINGS)
     return names
 
 
