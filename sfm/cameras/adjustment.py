@@ -500,7 +500,7 @@ def _inverse(adjusted: Adjusted, system: System) -> tuple[tuple[Array, Array], C
     free = system.of_free
     if is_large(len(free.blocks)):
         solver = IterativeSolver(free, free.diagonal(), 0.0)
-        diagonal = np.append(solver.variances(), np.zeros(len(free.gradient) - free.size))
+        diagonal = np.append(solver.preconditioner.variances(), np.zeros(len(free.gradient) - free.size))
 
         def product(right: Array) -> Array:
             return solver.solve(right)[0]

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, lapack, pinvh
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import bsr_array, csr_array, diags_array, lil_array
 from scipy.sparse.linalg import LinearOperator, cg
 from scipy.spatial import cKDTree
 
@@ -23,6 +23,7 @@ MAX_FACTORED = 25_000
 """Unknowns of a system whose factor, or inverse, is formed: 5 GB."""
 # Where no factor is formed: the same for an adjustment's steps, for products with the inverse, and the iterations.
 _STEP_TOLERANCE, _MAX_STEP_ITERATIONS = 1e-2, 500
+_FEW_STEP_ITERATIONS = 100  # within which a step is solved by an earlier one's factors, or else by its own
 _PRODUCT_TOLERANCE, _MAX_PRODUCT_ITERATIONS = 1e-3, 1500
 _CLUSTER = 64  # frames, at most, of which one factor is formed
 _CHUNK = 64  # frames at once, for memory
@@ -118,6 +119,16 @@ class System:
         product[self.size :] -= self.of_points_shared @ by_points
         return np.asarray(product.reshape(x.shape))
 
+    def restricted(self, x: csr_array) -> Array:
+        """x^T matrix x (k, k), of sparse columns x (l N + G, k)."""
+        frames = len(self.blocks)
+        of_frames = np.concatenate([np.arange(self.size).reshape(frames, -1), self.size + self.columns], axis=1)
+        blocks, x_of_frames = bsr_array((self.blocks, np.arange(frames), np.arange(frames + 1))), x[of_frames.ravel()]
+        by_points = self._of_points_by_number.T @ x[: self.size] + csr_array(self.of_points_shared.T) @ x[self.size :]
+        by_gauge = self.gauge.T @ x[: self.size]
+        product = x_of_frames.T @ (blocks @ x_of_frames) - by_points.T @ by_points + x.T @ (self.information @ x)
+        return np.asarray(product.toarray() + by_gauge.T @ by_gauge)
+
     def part(self, frames: NDArray[np.int64]) -> Array:
         """The matrix (l n, l n) of n frames' own unknowns."""
         local = self.size // len(self.blocks)
@@ -174,12 +185,14 @@ class Solver:
 
     They differ little, so the factor of one preconditions the next ones' conjugate gradients: a factor takes some
     (l N)^3 operations, a product as many as there are observations. Where conjugate gradients take too many products,
-    the system at hand is factorised. One of more than MAX_FACTORED unknowns never is (`IterativeSolver`), and a step
-    may stay unfinished.
+    the system at hand is factorised. Of one of more than MAX_FACTORED unknowns only clusters of frames are
+    (`Preconditioner`),
+    and a step may stay unfinished.
     """
 
     def __init__(self) -> None:
         self._factor: tuple[Array, bool] | None = None
+        self._preconditioner: Preconditioner | None = None
 
     def solve(self, system: System, diagonal: Array, damping: float, right: Array) -> Array:
         """x of (matrix + damping * its diagonal) x = right, 0 of what is held; LinAlgError where the matrix isn't
@@ -191,7 +204,15 @@ class Solver:
         shape = (len(right), len(right))
         scaled = LinearOperator(shape, lambda x: unit * system.times(unit * x) + damping * x, dtype=float)
         if len(right) > MAX_FACTORED:
-            return IterativeSolver(system, diagonal, damping).solve(right, _STEP_TOLERANCE, _MAX_STEP_ITERATIONS)[0]
+            if self._preconditioner is not None:
+                known = IterativeSolver(system, diagonal, damping, self._preconditioner)
+                x, has_converged = known.solve(right, _STEP_TOLERANCE, _FEW_STEP_ITERATIONS)
+                if has_converged:
+                    return x
+            self._preconditioner = None
+            solver = IterativeSolver(system, diagonal, damping)
+            self._preconditioner = solver.preconditioner
+            return solver.solve(right, _STEP_TOLERANCE, _MAX_STEP_ITERATIONS)[0]
         if self._factor is not None:
             factor = self._factor
             precondition = LinearOperator(shape, lambda x: cho_solve(factor, x / unit) / unit, dtype=float)
@@ -205,37 +226,58 @@ class Solver:
         return np.asarray(cho_solve(self._factor, right))
 
 
-class IterativeSolver:
-    """Solves (matrix + damping * its diagonal) x = right without forming the matrix.
-
-    Conjugate gradients, preconditioned on two levels: clusters of neighbouring frames by their factors, and how the
-    clusters as a whole turn, shift and grow, with the unknowns that all share, by a small matrix (Kushal and Agarwal,
-    "Visibility based preconditioning for bundle adjustment", 2012; Nicolaides, "Deflation of conjugate gradients",
-    1987). The first alone takes many steps to bend a long walk.
+class Preconditioner:
+    """About the inverse of a system's matrix + `damped` (l N + G,) on its diagonal, on two levels: clusters of
+    neighbouring frames by their factors, and how the clusters as a whole turn, shift and grow, with the unknowns that
+    all share, by a small matrix (Kushal and Agarwal, "Visibility based preconditioning for bundle adjustment", 2012;
+    Nicolaides, "Deflation of conjugate gradients", 1987). The first alone takes many steps to bend a long walk.
     """
 
-    def __init__(self, system: System, diagonal: Array, damping: float) -> None:
-        self._system, self._damped, self._unit = system, damping * diagonal, 1 / np.sqrt(diagonal)
-        frames, size, total = len(system.blocks), system.size, len(diagonal)
-        local = size // frames
+    def __init__(self, system: System, damped: Array) -> None:
+        frames, total = len(system.blocks), len(damped)
+        self._size = system.size
+        local = self._size // frames
         clusters = _clusters(system.position)
         self._index = [(local * members[:, None] + np.arange(local)).ravel() for members in clusters]
         self._factors = [
-            cho_factor(system.part(members) + np.diag(self._damped[index]), lower=True, overwrite_a=True)
+            cho_factor(system.part(members) + np.diag(damped[index]), lower=True, overwrite_a=True)
             for members, index in zip(clusters, self._index, strict=True)
         ]
-        self._motions = []
-        for members in clusters:
+        motions = lil_array((total, 7 * len(clusters) + total - self._size))
+        for k, (members, index) in enumerate(zip(clusters, self._index, strict=True)):
             of_frame = np.zeros((len(members), local, 7))
             of_frame[:, :6] = similarities(system.position[members])
-            self._motions.append(of_frame.reshape(-1, 7))
-        coarse = np.empty((7 * len(clusters) + total - size,) * 2)
-        for k, (index, motions) in enumerate(zip(self._index, self._motions, strict=True)):
-            moved = np.zeros((total, 7))
-            moved[index] = motions
-            coarse[:, 7 * k : 7 * k + 7] = self._restricted(self._times(moved))
-        coarse[:, 7 * len(clusters) :] = self._restricted(self._times(np.eye(total, total - size, -size)))
-        self._coarse = pinvh(coarse)
+            motions[index, 7 * k : 7 * k + 7] = of_frame.reshape(-1, 7)
+        motions[self._size :, 7 * len(clusters) :] = np.eye(total - self._size)
+        self._motions = csr_array(motions)
+        of_damped = (self._motions.T @ (diags_array(damped) @ self._motions)).toarray()
+        self._coarse = pinvh(system.restricted(self._motions) + of_damped)
+
+    def variances(self) -> Array:
+        """The inverse's diagonal (l N,) of the frames' unknowns, as far as their clusters tell, with the other frames
+        held. Of what is a frame's own, as its angular velocity, that is nearly all; of others it's too small."""
+        found = np.zeros(self._size)
+        for index, factor in zip(self._index, self._factors, strict=True):
+            found[index] = np.maximum(found[index], np.diag(cho_solve(factor, np.eye(len(index)))))
+        return found
+
+    def times(self, right: Array) -> Array:
+        """The product with columns (l N + G, k)."""
+        x = self._motions @ (self._coarse @ (self._motions.T @ right))
+        for index, factor in zip(self._index, self._factors, strict=True):
+            x[index] += cho_solve(factor, right[index])
+        return np.asarray(x)
+
+
+class IterativeSolver:
+    """Solves (matrix + damping * its diagonal) x = right without forming the matrix, by conjugate gradients with the
+    preconditioner of this system, or that of one that differs little."""
+
+    def __init__(
+        self, system: System, diagonal: Array, damping: float, preconditioner: Preconditioner | None = None
+    ) -> None:
+        self._system, self._damped, self._unit = system, damping * diagonal, 1 / np.sqrt(diagonal)
+        self.preconditioner = preconditioner or Preconditioner(system, self._damped)
 
     def solve(
         self, right: Array, tolerance: float = _PRODUCT_TOLERANCE, iterations: int = _MAX_PRODUCT_ITERATIONS
@@ -244,7 +286,7 @@ class IterativeSolver:
         most: the residual, in units of each unknown's own information, over that of `right`."""
         residual, x = right.reshape(len(right), -1).copy(), np.zeros((len(right), right.size // len(right)))
         limit = tolerance * self._norm(residual)
-        preconditioned = self._precondition(residual)
+        preconditioned = self.preconditioner.times(residual)
         direction, product = preconditioned.copy(), np.sum(residual * preconditioned, axis=0)
         for _ in range(iterations):
             if (self._norm(residual) <= limit).all():
@@ -253,7 +295,7 @@ class IterativeSolver:
             length = product / np.maximum(np.sum(direction * pulled, axis=0), np.finfo(float).tiny)
             x += length * direction
             residual -= length * pulled
-            preconditioned = self._precondition(residual)
+            preconditioned = self.preconditioner.times(residual)
             before, product = product, np.sum(residual * preconditioned, axis=0)
             direction = preconditioned + product / np.maximum(before, np.finfo(float).tiny) * direction
         return x.reshape(right.shape), False
@@ -266,31 +308,11 @@ class IterativeSolver:
             raise LinAlgError("conjugate gradients don't converge")
         return x
 
-    def variances(self) -> Array:
-        """The inverse's diagonal (l N,) of the frames' unknowns, as far as their clusters tell, with the other frames
-        held. Of what is a frame's own, as its angular velocity, that is nearly all; of others it's too small."""
-        found = np.zeros(self._system.size)
-        for index, factor in zip(self._index, self._factors, strict=True):
-            found[index] = np.maximum(found[index], np.diag(cho_solve(factor, np.eye(len(index)))))
-        return found
-
     def _norm(self, residual: Array) -> Array:
         return np.asarray(np.linalg.norm(self._unit[:, None] * residual, axis=0))
 
     def _times(self, x: Array) -> Array:
         return self._system.times(x) + self._damped[:, None] * x
-
-    def _restricted(self, x: Array) -> Array:
-        """Columns (l N + G, k) on the second level."""
-        by_cluster = [motions.T @ x[index] for index, motions in zip(self._index, self._motions, strict=True)]
-        return np.concatenate([*by_cluster, x[self._system.size :]])
-
-    def _precondition(self, right: Array) -> Array:
-        x, coarse = np.zeros(right.shape), self._coarse @ self._restricted(right)
-        for k, (index, factor, motions) in enumerate(zip(self._index, self._factors, self._motions, strict=True)):
-            x[index] += cho_solve(factor, right[index]) + motions @ coarse[7 * k : 7 * k + 7]
-        x[self._system.size :] = coarse[7 * len(self._index) :]
-        return x
 
 
 def inverse_of(matrix: Array) -> Array:
