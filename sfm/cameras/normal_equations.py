@@ -186,8 +186,7 @@ class Solver:
     They differ little, so the factor of one preconditions the next ones' conjugate gradients: a factor takes some
     (l N)^3 operations, a product as many as there are observations. Where conjugate gradients take too many products,
     the system at hand is factorised. Of one of more than MAX_FACTORED unknowns only clusters of frames are
-    (`Preconditioner`),
-    and a step may stay unfinished.
+    (`Preconditioner`), and a step may stay unfinished.
     """
 
     def __init__(self) -> None:
