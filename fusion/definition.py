@@ -32,7 +32,7 @@ class FuseSettings(Settings):
 
 STAGE = Stage(
     name="fuse",
-    version=33,
+    version=34,
     settings=FuseSettings,
     needs=("import", "align", "localise", "train"),
     run=Lazy("groundwalk.fusion.stage:run"),

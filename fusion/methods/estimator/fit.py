@@ -45,6 +45,7 @@ DIMENSIONS = 6
 _DECIDED = 10  # newest keyframes of which it is asked whether odometry jumped before
 _UNBOUND = 1e4  # variance (m^2) of a step of which nothing is known
 DOF = 3.0  # of the errors' Student's t: heavy tails, as outliers are neither rare nor of a known size
+_LEAST_WEIGHT = 0.01  # of the prediction that counts most: where all contradict each other, some of them hold the walk
 _EXCESS = 0.3  # of a squared error that is too much for what is known, taken for the prediction's
 
 
@@ -143,6 +144,7 @@ def iterate(keyframes: Rows, belief: Belief, newest: float = nan) -> Fit:
         squared[i] = _expected(normalised[i], spread[i], precision)
         expected = newest if i == count - 1 and not isnan(newest) else squared[i]
         weights[i] = robust.bounded(expected, DIMENSIONS, DOF)
+    weights *= max(1.0, _LEAST_WEIGHT / weights.max())
     information, gradient = _normal_equations(normalised, unknown, precision, effective * weights)
     chain = _chain(keyframes, belief.drift_factors)
     for i in range(max(1, count - _DECIDED), count):

@@ -3,6 +3,7 @@
 What was measured stands beside some bounds."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -411,3 +412,17 @@ def test_hopeless_walks_run() -> None:
         walk = random_walk(seed)
         for estimate in answers(DriftAware(), walk.t_ns, walk.vio, walk.apr):
             assert estimate.map_T_cam is None or np.isfinite(estimate.map_T_cam).all()
+
+
+def test_sure_predictions_that_all_contradict_each_other_do_not_stop_it() -> None:
+    """As of a localiser that takes one end of a corridor for the other."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        t_ns, truth, vio, _ = upright_walk(seed, 20)
+        apr, covariance = np.full_like(truth, np.nan), np.full((20, 6, 6), np.nan)
+        for i in (0, 5, 10):
+            turn = yaw_rotation(np.pi * (i == 10)) @ Rotation.from_rotvec(rng.normal(0, 0.02, 3)).as_matrix()
+            apr[i] = make_pose(turn @ truth[i, :3, :3], truth[i, :3, 3] + rng.normal(0, [15, 1, 15]))
+            covariance[i] = np.diag(np.repeat([0.001, 0.01], 3) ** 2)
+        walk = replace(as_walk(t_ns, truth, vio, apr), predicted_covariance=covariance)
+        assert np.isfinite(poses(Smoother().estimates(walk))).all()
