@@ -189,8 +189,9 @@ def _tell(data: DataRoot, profile: str, scene: str) -> None:
     for row in versions[versions["version"] == number].to_dict("records"):
         sd = f", median standard deviation {1000 * row['position_sd_m']:.1f} mm" if row["with_ground_truth"] else ""
         classes = ", ".join(f"{name} {row[f'quality_{name}']}" for name in "ABC")
+        has = ", which had" if row["change"] == "removed" else ","
         progress.stdout.print(
-            f"{scene}, version {number}: {row['session_id']} {row['change']}, {row['with_ground_truth']} of "
+            f"{scene}, version {number}: {row['session_id']} {row['change']}{has} {row['with_ground_truth']} of "
             f"{row['frames']} frames with ground truth ({classes}{sd})"
         )
     later = run_command(data.run(profile, scene, "report"))
