@@ -2,7 +2,8 @@
 
 All training images' features are kept; a query is matched with the images that look most alike, 2D to 2D, its 3D points
 are those of their tracks, and COLMAP's LO-RANSAC with refinement gives the pose and its covariance, which grows as held
-out training frames ask for. The features are SIFT's, or those of networks, which networks match.
+out training frames ask for; where no more keypoints agree than by chance there is none. The features are SIFT's, or
+those of networks, which networks match.
 """
 
 from dataclasses import replace
@@ -27,7 +28,8 @@ from groundwalk.store.choices import Refusal
 
 _WORDS, _SAMPLES = 64, 25_600
 _MAX_PX, _MIN_MATCHES = 12.0, 4
-_HELD_OUT = 30  # training frames, at most, that say what covariances are worth
+_SURE_INLIERS = 30  # with fewer a covariance is not stated: corridors gave 21 to poses that were 14 m off
+_HELD_OUT = 24  # training frames, at most, that say what covariances are worth
 
 
 class HLocLocaliser:
@@ -52,17 +54,24 @@ class HLocLocaliser:
         self._calibrate(prepared, track)
 
     def _calibrate(self, prepared: Prepared, track: Track) -> None:
-        """Covariances by answers for training frames that are left out, as all that hangs on them is."""
+        """By answers for training frames that are left out, as all that hangs on them is: covariances, and how many
+        inliers an answer has by chance, where it is only asked of images that share no point with it."""
         training, count = prepared.training, len(self._features)
+        point, view = prepared.points.point, prepared.rays.view[prepared.points.feature]
         held = np.unique(np.linspace(0, count - 1, min(_HELD_OUT, count // 2), dtype=int))
         is_used = ~np.isin(np.arange(count), held)
         self._calibration, trials = UNCALIBRATED, []
         self._use(prepared.points_of(is_used), is_used)
         if len(self.xyz) >= MIN_POINTS:
             for row in track(held.tolist(), "HLoc: calibrating by held-out training frames", len(held)):
-                answer = self.localise_features(training.features[row], training.logged[row])
-                trials.append(Trial(answer, training.views.map_T_cam[row], 0))
-        self._calibration = calibrated(trials)
+                asked = training.features[row], training.logged[row]
+                answer = self.localise_features(*asked)
+                self._used = np.setdiff1d(np.flatnonzero(is_used), view[np.isin(point, point[view == row])])
+                by_chance = self.localise_features(*asked).inliers
+                self._used = np.flatnonzero(is_used)
+                trials.append(Trial(answer, training.views.map_T_cam[row], by_chance))
+        found = calibrated(trials)
+        self._calibration = replace(found, min_inliers=max(found.min_inliers, _SURE_INLIERS))
         self._use(prepared.points, np.ones(count, bool))
 
     def _use(self, points: Points, is_used: NDArray[np.bool_]) -> None:
@@ -110,7 +119,7 @@ class HLocLocaliser:
         query = replace(features, descriptors=unit(features.descriptors))
         similarity = self._images[self._used] @ aggregate(query.descriptors, self._words)
         size: Size = (camera.width, camera.height)
-        matches = []  # keypoints of the query and points (M, 2) by matches with an image
+        matches = [np.empty((0, 2), np.int64)]  # keypoints of the query and points by matches with an image
         for view in self._used[np.argsort(-similarity, kind="stable")[: self.settings.retrieved]].tolist():
             rows = self.kind.match(query, self._features[view], size, self._sizes[view])
             point = self._point[self._first[view] + rows[:, 1]]
@@ -124,7 +133,10 @@ class HLocLocaliser:
         count = int(inlier.sum())
         if pose is None or count < needed:
             return refused(Refusal.THIN_EVIDENCE, f"{count} inliers, {needed} needed", len(pairs), count, seen)
-        return QueryResult(pose[0], self._calibration.grown(pose[1]), None, "", len(pairs), count, seen)
+        # As few inliers as an image of another place has say nothing of how far off the pose is.
+        is_sure = count >= self._calibration.min_inliers
+        covariance = self._calibration.grown(pose[1]) if is_sure else None
+        return QueryResult(pose[0], covariance, None, "", len(pairs), count, seen)
 
 
 def absolute_pose(px: Array, xyz: Array, camera: Camera, seed: int) -> tuple[Array, Array, NDArray[np.bool_]] | None:
