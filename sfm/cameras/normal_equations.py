@@ -27,7 +27,7 @@ _FEW_STEP_ITERATIONS = 100  # within which a step is solved by an earlier one's 
 _PRODUCT_TOLERANCE, _MAX_PRODUCT_ITERATIONS = 1e-3, 1500
 _CLUSTER = 64  # frames, at most, of which one factor is formed
 _CHUNK = 64  # frames at once, for memory
-_ROWS = 1024  # of a matrix, likewise
+_ROWS, _POINTS = 1024, 8192  # of a matrix, and points, likewise
 _FEW_COLUMNS = 8  # up to so many, products of blocks are as fast as those of single numbers
 
 
@@ -121,13 +121,18 @@ class System:
 
     def restricted(self, x: csr_array) -> Array:
         """x^T matrix x (k, k), of sparse columns x (l N + G, k)."""
-        frames = len(self.blocks)
+        frames, points = len(self.blocks), len(self.point_inverse)
         of_frames = np.concatenate([np.arange(self.size).reshape(frames, -1), self.size + self.columns], axis=1)
         blocks, x_of_frames = bsr_array((self.blocks, np.arange(frames), np.arange(frames + 1))), x[of_frames.ravel()]
-        by_points = self._of_points_by_number.T @ x[: self.size] + csr_array(self.of_points_shared.T) @ x[self.size :]
         by_gauge = self.gauge.T @ x[: self.size]
-        product = x_of_frames.T @ (blocks @ x_of_frames) - by_points.T @ by_points + x.T @ (self.information @ x)
-        return np.asarray(product.toarray() + by_gauge.T @ by_gauge)
+        product = (x_of_frames.T @ (blocks @ x_of_frames) + x.T @ (self.information @ x)).toarray()
+        product += by_gauge.T @ by_gauge
+        for first in range(0, points, _POINTS):
+            rows = np.arange(first, min(first + _POINTS, points))
+            of_shared = csr_array(self.of_points_shared[:, 3 * first : 3 * first + 3 * len(rows)].T)
+            pulled = csr_array(_rows_of(self._of_points_T, rows)) @ x[: self.size] + of_shared @ x[self.size :]
+            product -= (pulled.T @ pulled).toarray()
+        return np.asarray(product)
 
     def part(self, frames: NDArray[np.int64]) -> Array:
         """The matrix (l n, l n) of n frames' own unknowns."""
