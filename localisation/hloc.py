@@ -56,29 +56,26 @@ class HLocLocaliser:
     def _calibrate(self, prepared: Prepared, track: Track) -> None:
         """By answers for training frames that are left out, as all that hangs on them is: covariances, and how many
         inliers an answer has by chance, where it is only asked of images that share no point with it."""
-        training, count = prepared.training, len(self._features)
+        training, every = prepared.training, np.arange(len(self._features))
         point, view = prepared.points.point, prepared.rays.view[prepared.points.feature]
-        held = np.unique(np.linspace(0, count - 1, min(_HELD_OUT, count // 2), dtype=int))
-        is_used = ~np.isin(np.arange(count), held)
-        self._calibration, trials = UNCALIBRATED, []
-        self._use(prepared.points_of(is_used), is_used)
+        held = np.unique(np.linspace(0, len(every) - 1, min(_HELD_OUT, len(every) // 2), dtype=int))
+        others, trials = np.setdiff1d(every, held), list[Trial]()
+        self._calibration = UNCALIBRATED
+        self._answer_by(prepared.points_of(~np.isin(every, held)))
         if len(self.xyz) >= MIN_POINTS:
             for row in track(held.tolist(), "HLoc: calibrating by held-out training frames", len(held)):
                 asked = training.features[row], training.logged[row]
-                answer = self.localise_features(*asked)
-                self._used = np.setdiff1d(np.flatnonzero(is_used), view[np.isin(point, point[view == row])])
-                by_chance = self.localise_features(*asked).inliers
-                self._used = np.flatnonzero(is_used)
+                answer = self.localise_features(*asked, among=others)
+                apart = np.setdiff1d(others, view[np.isin(point, point[view == row])])
+                by_chance = self.localise_features(*asked, among=apart).inliers
                 trials.append(Trial(answer, training.views.map_T_cam[row], by_chance))
         found = calibrated(trials)
         self._calibration = replace(found, min_inliers=max(found.min_inliers, _SURE_INLIERS))
-        self._use(prepared.points, np.ones(count, bool))
+        self._answer_by(prepared.points)
 
-    def _use(self, points: Points, is_used: NDArray[np.bool_]) -> None:
-        """Answer by these points and training images (N,)."""
+    def _answer_by(self, points: Points) -> None:
         self.xyz = points.xyz
         """The points (P, 3) of the training frames' tracks."""
-        self._used = np.flatnonzero(is_used)
         self._point = np.full(self._first[-1], -1)
         self._point[points.feature] = points.point
 
@@ -111,16 +108,19 @@ class HLocLocaliser:
         features = self.kind.extract(grey, self.extraction.max_features, self.extraction.max_side)
         return self.localise_features(features, camera, seed=seed)
 
-    def localise_features(self, features: Features, camera: Camera, *, seed: int = 0) -> QueryResult:
-        """The same of an image's features."""
+    def localise_features(
+        self, features: Features, camera: Camera, *, seed: int = 0, among: NDArray[np.int64] | None = None
+    ) -> QueryResult:
+        """The same of an image's features, matched with training images `among` these (V,), or with any."""
         camera, _ = with_lens(camera, self.lenses)
         if not len(features):
             return refused(Refusal.FEW_FEATURES, "no features: dark or blurred?")
         query = replace(features, descriptors=unit(features.descriptors))
-        similarity = self._images[self._used] @ aggregate(query.descriptors, self._words)
+        among = np.arange(len(self._images)) if among is None else among
+        similarity = self._images[among] @ aggregate(query.descriptors, self._words)
         size: Size = (camera.width, camera.height)
         matches = [np.empty((0, 2), np.int64)]  # keypoints of the query and points by matches with an image
-        for view in self._used[np.argsort(-similarity, kind="stable")[: self.settings.retrieved]].tolist():
+        for view in among[np.argsort(-similarity, kind="stable")[: self.settings.retrieved]].tolist():
             rows = self.kind.match(query, self._features[view], size, self._sizes[view])
             point = self._point[self._first[view] + rows[:, 1]]
             matches.append(np.stack([rows[:, 0], point], axis=1)[point >= 0])
