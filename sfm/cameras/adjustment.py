@@ -299,10 +299,20 @@ def regular_system(
     for k in range(LENS_UNKNOWNS + 1):
         np.add.at(gradient, size + columns[:, k], pull[:, _LOCAL + k])
     point_inverse = np.swapaxes(lower_inverse, 1, 2) @ lower_inverse
-    free = np.zeros((size, 0))
     position = bundle.sfm_T_cam[:, :3, 3]
-    terms = (blocks, columns, local, of_shared, gradient, point_inverse, point_pull)
-    system = System(*terms, information, free, position, bundle.held_frames)
+    system = System(
+        blocks=blocks,
+        columns=columns,
+        of_points=local,
+        of_points_shared=of_shared,
+        gradient=gradient,
+        point_inverse=point_inverse,
+        point_gradient=point_pull,
+        information=information,
+        gauge=np.zeros((size, 0)),
+        position=position,
+        held=bundle.held_frames,
+    )
     if len(bundle.held_points):
         return system
     return replace(system, gauge=_stiffness(system.diagonal(), position))
