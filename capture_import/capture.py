@@ -50,16 +50,17 @@ class DepthFile:
     `path` is a 16-bit PNG of one channel: millimetres along the camera's z axis, 0: none. It shows what the frame's
     image shows, at another resolution. `confidence` is an 8-bit PNG of the same size: 0, 1, 2 or 0, 127, 255 for low,
     medium and high. Import makes such PNGs of `.depth` and `.conf` (pixels row by row, compressed by LZFSE) and `.exr`,
-    whose depth is in metres as float32.
+    whose depth is in metres as float32, and of PNGs with another number of `units_per_m`.
     """
 
     path: Path
     confidence: Path | None = None
+    units_per_m: int = 1000
 
     @classmethod
-    def if_there(cls, path: Path, confidence: Path) -> "DepthFile | None":
+    def if_there(cls, path: Path, confidence: Path | None = None) -> "DepthFile | None":
         """The depth image at `path`, with its confidence where that is there; None where there is no depth image."""
-        return cls(path, confidence if confidence.exists() else None) if path.exists() else None
+        return cls(path, confidence if confidence and confidence.exists() else None) if path.exists() else None
 
 
 @dataclass(frozen=True)

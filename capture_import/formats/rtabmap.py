@@ -2,13 +2,14 @@
 
 By the tool's source, https://github.com/introlab/rtabmap (`rtabmap-export --images --poses_camera`). Poses are camera
 to world with OpenCV's camera axes, in a map that loops optimised: a reference. Its +z is up, but exports are also known
-with +y up, so up is unknown. Images have their number for a name. `<name>_depth/` isn't read: it's of its own camera.
+with +y up, so up is unknown. Images have their number for a name, and so has the depth in `<name>_depth/`, which
+RTAB-Map has of the image's own camera.
 """
 
 from pathlib import Path
 
 from groundwalk.capture_import import parsing
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
 from groundwalk.store.choices import Clock, PoseSource
 
@@ -31,6 +32,7 @@ def read(path: Path, limits: Limits) -> Recording:
             ImageFile(image),
             _camera(path / f"{name}_calib" / f"{image.stem}.yaml"),
             number=int(number),
+            depth=DepthFile.if_there(path / f"{name}_depth" / f"{image.stem}.png"),
         )
 
     frames, rejects = parsing.read_rows(parsing.lines_of(poses, limits), read_row)
@@ -51,7 +53,7 @@ def _camera(file: Path) -> Intrinsics:
 FORMAT = Format(
     id="rtabmap",
     label="RTAB-Map export",
-    meaning="images, reference poses",
+    meaning="images, reference poses, depth",
     files=(f"*{_POSES}", "*_rgb/", "*_calib/"),
     read=read,
 )

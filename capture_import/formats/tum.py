@@ -1,41 +1,54 @@
-"""TUM RGB-D's lists: `rgb.txt` and `groundtruth.txt`.
+"""TUM RGB-D's lists: `rgb.txt`, `groundtruth.txt` and, where it is there, `depth.txt`.
 
 https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats. Poses are camera to world with OpenCV's camera axes, by
 motion capture or whatever tool wrote the list: a reference, and nothing says where up is. `camera.txt` beside, which
-isn't part of the format, may have fx fy cx cy (and k1 k2 p1 p2 k3); without it import finds the focal length. Depth
-(5000 a metre, with times of its own) isn't read.
+isn't part of the format, may have fx fy cx cy (and k1 k2 p1 p2 k3); without it import finds the focal length. An
+image has the depth that is nearest in time, as the benchmark's own tools associate them.
 """
 
 from pathlib import Path
 
 from groundwalk.capture_import import parsing
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.data_sets import guessed_intrinsics, size_of
 from groundwalk.capture_import.formats import Format
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, PoseSource
 
+_DEPTH_UNITS_PER_M = 5000
+_DEPTH_WITHIN_NS = 20_000_000
+
 
 def read(path: Path, limits: Limits) -> Recording:
-    poses, rejects = parsing.read_rows(parsing.lines_of(path / "groundtruth.txt", limits), _read_pose)
-    camera = camera_beside(path)
-
-    def read_image(place: int, line: str) -> RawFrame:
+    def file_of(line: str) -> tuple[int, Path]:
         time, _, name = line.strip().partition(" ")
-        image = parsing.inside(path, name.strip())
+        return parsing.seconds_to_ns(parsing.to_number(time, "time")), parsing.inside(path, name.strip())
+
+    def read_depth(_: int, line: str) -> RawFrame:
+        t_ns, file = file_of(line)
+        return RawFrame(t_ns, depth=DepthFile(file, units_per_m=_DEPTH_UNITS_PER_M))
+
+    def read_image(_: int, line: str) -> RawFrame:
+        t_ns, image = file_of(line)
+        nearest = min(depths, key=lambda depth: abs(depth.t_ns - t_ns), default=None)
+        has_depth = nearest is not None and abs(nearest.t_ns - t_ns) <= _DEPTH_WITHIN_NS
         return RawFrame(
-            parsing.seconds_to_ns(parsing.to_number(time, "time")),
+            t_ns,
             image=ImageFile(image),
             intrinsics=camera or guessed_intrinsics(*size_of(image)),
+            depth=nearest.depth if has_depth else None,
         )
 
-    images, more = parsing.read_rows(parsing.lines_of(path / "rgb.txt", limits), read_image)
+    camera, of_depth = camera_beside(path), path / "depth.txt"
+    poses, rejects = parsing.read_rows(parsing.lines_of(path / "groundtruth.txt", limits), _read_pose)
+    depths, no_depths = parsing.read_rows(parsing.lines_of(of_depth, limits) if of_depth.is_file() else [], read_depth)
+    images, no_images = parsing.read_rows(parsing.lines_of(path / "rgb.txt", limits), read_image)
     return Recording(
         "unknown",
         Clock.UNIX,
         path,
         parsing.join_by_time(poses, images),
-        [*rejects, *more],
+        [*rejects, *no_depths, *no_images],
         pose_source=PoseSource.REFERENCE,
         is_gravity_aligned=False,
         has_intrinsics=camera is not None,
@@ -65,7 +78,7 @@ def camera_beside(folder: Path) -> Intrinsics | None:
 FORMAT = Format(
     id="tum",
     label="TUM RGB-D lists",
-    meaning="images, reference poses",
+    meaning="images, reference poses, depth",
     files=("rgb.txt", "groundtruth.txt"),
     read=read,
 )

@@ -30,6 +30,7 @@ _FLOAT_SUFFIXES = (".depth", ".conf", ".exr")
 _LZFSE_START = b"bvx"
 _EXR_START = b"\x76\x2f\x31\x01"
 _EXR_SWITCH = "OPENCV_IO_ENABLE_OPENEXR"
+_UNITS_PER_M = 1000  # of the depth images that are written
 _MAX_MM = np.iinfo(np.uint16).max
 _RED = 2  # OpenCV's order is blue, green, red
 
@@ -74,7 +75,10 @@ def _place(image: Image, where: Placement) -> dict[str, str] | tuple[str, str]:
         except BadImage as error:
             return file.name, f"{what} {error}"
         shape = pixels.shape
-        if file.suffix != ".png":
+        is_scaled = kind == "depth" and depth.units_per_m != _UNITS_PER_M
+        if is_scaled:
+            pixels = np.round(pixels * (_UNITS_PER_M / depth.units_per_m)).clip(0, _MAX_MM).astype(np.uint16)
+        if is_scaled or file.suffix != ".png":
             data = cv2.imencode(".png", pixels)[1].tobytes()
         elif where.stays(file):
             columns[kind] = file.relative_to(where.root).as_posix()

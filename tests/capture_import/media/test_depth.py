@@ -25,6 +25,7 @@ PLACES: dict[str, tuple[str, str, int]] = {
     "stray_scanner": ("depth/{i:06d}.png", "confidence/{i:06d}.png", 1),
     "polycam": ("keyframes/depth/{us}.png", "keyframes/confidence/{us}.png", 127),
     "frames_jsonl": ("depth/{i}.png", "", 1),
+    "rtabmap": ("scan_depth/{i}.png", "", 1),
 }
 
 
@@ -47,13 +48,29 @@ def write_with_depth(folder: Path, walk: Walk, name: str = "3d_scanner_app", con
 def test_each_frame_has_its_own_depth(tmp_path: Path, name: str) -> None:
     write_with_depth(tmp_path / "place" / "walk", make_walk(8), name)
     frames = read_one(tmp_path / "place").frames
-    assert len(frames) == 8
-    for index, depth in enumerate(there(frame.depth) for frame in frames):
+    assert len(frames) == (4 if name == "rtabmap" else 8)  # its export has no poses without an image
+    for index, depth in ((there(frame.number), there(frame.depth)) for frame in frames):
         assert (read_picture(depth.path, cv2.IMREAD_UNCHANGED) == depth_mm(index)).all()
         if depth.confidence is not None:
             levels = read_picture(depth.confidence, cv2.IMREAD_UNCHANGED)
             assert set(levels.ravel()) == {(index % 3) * PLACES[name][2]}
-        assert (depth.confidence is None) == (name == "frames_jsonl")
+        assert (depth.confidence is None) == (not PLACES[name][1])
+
+
+def test_tum_depth_is_that_nearest_in_time_in_millimetres(tmp_path: Path) -> None:
+    place, walk = tmp_path / "captures" / "place" / "walk", make_walk(8)
+    WRITERS["tum"].write(place, walk)
+    (place / "depth").mkdir()
+    late_s = [0.015] * 6 + [0.025] * 2  # the last image's beyond what counts as the same time
+    for i in range(8):
+        cv2.imwrite(str(place / f"depth/{i}.png"), 5 * depth_mm(i))
+    lines = [f"{t_ns * 1e-9 + late_s[i]:.6f} depth/{i}.png" for i, t_ns in enumerate(walk.t_ns.tolist())]
+    (place / "depth.txt").write_text("# depth maps\n" + "\n".join(reversed(lines)))
+    folder, frames, rejects = run(tmp_path)
+    assert not len(rejects) and frames["depth"].notna().tolist() == [True, True, True, False]
+    for i, row in zip(walk.seen[:3], rows(frames), strict=False):
+        pixels = read_picture(folder / row.depth.removeprefix("import:"), cv2.IMREAD_UNCHANGED)
+        assert (pixels == depth_mm(i)).all()
 
 
 def test_the_real_phone_with_lidar_has_depth_of_all_images(shared_captures: Path) -> None:
