@@ -1,11 +1,14 @@
 """What the blurring of faces finds, and what it blurs for nothing: `python -m benchmarks.import_blurring`.
 
 One portrait (public domain, of matplotlib's sample data) is put into pictures in many sizes: that shows down to which
-size the detectors see anything, not how many real faces they find. `--captures` names real captures that show nobody:
-all that is found there is false.
+size the detectors see anything. `--labelled` names a folder of photos whose faces dlib's `imglab` has boxed
+(`examples/faces` of https://github.com/davisking/dlib: nine photos of people, 43 faces), `--captures` real captures
+that show nobody: all that is found there is false. Writes docs/results/blurring.md.
 """
 
 import time
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +17,7 @@ import matplotlib
 import numpy as np
 import typer
 
+from benchmarks.results import circumstances, markdown_table, write_page
 from groundwalk.capture_import.capture import ImageFile, Limits
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.media.blurring import FaceDetector, Region
@@ -49,33 +53,68 @@ def is_detected(regions: list[Region], centre: tuple[float, float]) -> bool:
     return any(r.x < x < r.x + r.width and r.y < y < r.y + r.height for r in regions)
 
 
+def labelled_faces(folder: Path) -> dict[Path, list[tuple[float, float]]]:
+    """The centres of the faces in each photo that `training.xml` and `testing.xml` of the folder name."""
+    images = [image for name in ("training.xml", "testing.xml") for image in ET.parse(folder / name).iter("image")]
+    return {
+        folder / image.attrib["file"]: [
+            tuple(int(b.attrib[at]) + int(b.attrib[size]) / 2 for at, size in (("left", "width"), ("top", "height")))
+            for b in image.iter("box")
+        ]
+        for image in images
+    }
+
+
+def _portrait_rows(detect: FaceDetector) -> Iterable[list[str]]:
+    yield ["width, px", "the portrait's face found"]
+    for width in WIDTHS_PX:
+        faces = [is_detected(detect(picture), at) for picture, at in (with_portrait(width, *p) for p in PLACES)]
+        yield [str(width), f"{sum(faces)} of {len(faces)}"]
+
+
+def _rows(detect: FaceDetector, labelled: Path | None, captures: Path | None, images: int) -> Iterable[list[str]]:
+    yield ["images", "number", "faces", "of these found", "false regions an image", "processor s an image"]
+    found: dict[str, dict[Path, list[tuple[float, float]]]] = {}
+    if labelled is not None:
+        found["photos of people"] = labelled_faces(labelled)
+    for recording in find_recordings(captures, Path("/nonexistent"), Limits()) if captures else []:
+        paths = [f.image.path for f in recording.read(Limits()).frames if isinstance(f.image, ImageFile)]
+        paths = [paths[i] for i in np.unique(np.linspace(0, len(paths) - 1, images).astype(int))]
+        found[f"capture {recording.recording_id}"] = {path: [] for path in paths}
+    for name, faces_of in found.items():
+        start = time.process_time()
+        regions = {path: detect(decode_rgb(path.read_bytes(), 2**31)) for path in track(list(faces_of), name)}
+        seconds = (time.process_time() - start) / len(faces_of)
+        faces = [is_detected(regions[path], face) for path, at in faces_of.items() for face in at]
+        false = [r for path, at in faces_of.items() for r in regions[path] if not any(is_detected([r], f) for f in at)]
+        yield [
+            *(
+                name,
+                str(len(faces_of)),
+                str(len(faces)),
+                f"{sum(faces)} ({sum(faces) / len(faces):.0%})" if faces else "",
+            ),
+            *(f"{len(false) / len(faces_of):.2f}", f"{seconds:.2f}"),
+        ]
+
+
 @app.command()
 def main(
     captures: Annotated[Path | None, typer.Option(help="Real captures that show nobody.")] = None,
+    labelled: Annotated[Path | None, typer.Option(help="Photos with boxes of their faces, as dlib's.")] = None,
     face_model: Annotated[Path | None, typer.Option(help="YuNet's file, as [import] face_model names it.")] = None,
     images: Annotated[int, typer.Option(help="Images looked at in each recording, spread over it.")] = 24,
+    out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("docs/results"),
 ) -> None:
-    """Print the tables as Markdown."""
-    detect = FaceDetector(face_model)
-    print("| width, px | the portrait's face found |\n|---|---|")
-    for width in WIDTHS_PX:
-        faces = [is_detected(detect(picture), at) for picture, at in (with_portrait(width, *p) for p in PLACES)]
-        print(f"| {width} | {sum(faces)} of {len(faces)} |", flush=True)
-    if captures is None:
-        return
-    print("\n| real capture | images | images with a false region | false regions | s an image |")
-    print("|---|---|---|---|---|")
-    for recording in find_recordings(captures, Path("/nonexistent"), Limits()):
-        paths = [f.image.path for f in recording.read(Limits()).frames if isinstance(f.image, ImageFile)]
-        paths = [paths[i] for i in np.unique(np.linspace(0, len(paths) - 1, images).astype(int))]
-        start = time.process_time()
-        regions = [detect(decode_rgb(path.read_bytes(), 2**31)) for path in track(paths, "looking for faces")]
-        seconds = (time.process_time() - start) / len(paths)
-        print(
-            f"| {recording.recording_id} | {len(paths)} | {sum(map(bool, regions))} | {sum(map(len, regions))} "
-            f"| {seconds:.1f} |",
-            flush=True,
-        )
+    """Write the tables, by OpenCV's own detectors and by YuNet where its file is named."""
+    sections = ["# Blurring of faces", "Written by `python -m benchmarks.import_blurring`, not to be edited."]
+    for name, model in {"OpenCV's own detectors": None, "YuNet": face_model}.items():
+        if name == "YuNet" and model is None:
+            continue
+        detect = FaceDetector(model)
+        rows = markdown_table(_rows(detect, labelled, captures, images))
+        sections += [f"## {name}", rows, markdown_table(_portrait_rows(detect))]
+    write_page(out, "blurring", [*sections, circumstances()])
 
 
 if __name__ == "__main__":

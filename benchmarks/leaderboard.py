@@ -29,6 +29,7 @@ from groundwalk.fusion.files.walks import Files, Inputs
 from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.fusion.walk import Walk, known, with_odometry
+from groundwalk.geometry.poses import inverse, skew
 from groundwalk.scoring import errors as scoring_errors
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.checkout import git_revision
@@ -44,6 +45,7 @@ RAW, RULE = "raw", "paper_rule"
 KEY = ["group", "scene", "model"]
 _TABLES = ("frames", "ground_truth", "predictions")
 _THINNED = 5  # frames of which one is asked about
+_LATE = 3  # frames between an image and its prediction
 _PAGE, _TABLE = "fusion.md", "fusion.csv"
 _HEADER = """# Fusion methods beside each other
 
@@ -122,7 +124,7 @@ def cases_of_runs(data: DataRoot) -> tuple[list[Case], list[str]]:
         for kind, table in zip(("regressors", "structure localisers"), predictions, strict=False):
             cases += _cases(f"{kind}, {captures} captures", Inputs(scene, dataset_frames(frames), truth, table))
         names.append(scene)
-    cases += [_thinned(case) for case in cases if case.group.startswith("structure")]
+    cases += [change(case) for case in cases if case.group.startswith("structure") for change in (_thinned, _late)]
     return cases, [f"runs: {', '.join(names)}", *_without_odometry(names, cases)] if names else []
 
 
@@ -133,6 +135,25 @@ def _thinned(case: Case) -> Case:
         is_asked = (np.arange(len(walk)) % _THINNED == 0)[:, None, None]
         walks.append(replace(walk, map_T_cam_predicted=np.where(is_asked, walk.map_T_cam_predicted, np.nan)))
     return replace(case, group=f"{case.group}, one frame in {_THINNED} asked", walks=walks)
+
+
+def _late(case: Case) -> Case:
+    """The same with predictions that come so many frames after the image, as of a slow server: odometry carries each
+    to the frame at which it comes."""
+    walks = []
+    for walk in case.walks:
+        then, now = np.arange(len(walk) - _LATE), np.arange(_LATE, len(walk))
+        carried = np.full_like(walk.map_T_cam_predicted, np.nan)
+        carried[now] = walk.map_T_cam_predicted[then] @ inverse(walk.vio_T_cam[then]) @ walk.vio_T_cam[now]
+        covariance = walk.predicted_covariance
+        if covariance is not None:
+            by_then = np.tile(np.eye(6), (len(now), 1, 1))
+            by_then[:, 3:, :3] = -skew(carried[now, :3, 3] - walk.map_T_cam_predicted[then, :3, 3])
+            late = np.full_like(covariance, np.nan)
+            late[now] = by_then @ covariance[then] @ np.swapaxes(by_then, 1, 2)
+            covariance = late
+        walks.append(replace(walk, map_T_cam_predicted=carried, predicted_covariance=covariance))
+    return replace(case, group=f"{case.group}, {_LATE} frames late", walks=walks)
 
 
 def _without_odometry(scenes: Iterable[str], cases: Iterable[Case]) -> list[str]:
