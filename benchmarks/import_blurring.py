@@ -55,14 +55,13 @@ def is_detected(regions: list[Region], centre: tuple[float, float]) -> bool:
 
 def labelled_faces(folder: Path) -> dict[Path, list[tuple[float, float]]]:
     """The centres of the faces in each photo that `training.xml` and `testing.xml` of the folder name."""
-    images = [image for name in ("training.xml", "testing.xml") for image in ET.parse(folder / name).iter("image")]
-    return {
-        folder / image.attrib["file"]: [
-            tuple(int(b.attrib[at]) + int(b.attrib[size]) / 2 for at, size in (("left", "width"), ("top", "height")))
-            for b in image.iter("box")
-        ]
-        for image in images
-    }
+    found: dict[Path, list[tuple[float, float]]] = {}
+    for image in (i for name in ("training.xml", "testing.xml") for i in ET.parse(folder / name).iter("image")):
+        faces = found.setdefault(folder / image.attrib["file"], [])
+        for box in image.iter("box"):
+            x, y, width, height = (int(box.attrib[name]) for name in ("left", "top", "width", "height"))
+            faces.append((x + width / 2, y + height / 2))
+    return found
 
 
 def _portrait_rows(detect: FaceDetector) -> Iterable[list[str]]:

@@ -31,12 +31,12 @@ def read(path: Path, limits: Limits) -> Recording:
     def read_image(_: int, line: str) -> RawFrame:
         t_ns, image = file_of(line)
         nearest = min(depths, key=lambda depth: abs(depth.t_ns - t_ns), default=None)
-        has_depth = nearest is not None and abs(nearest.t_ns - t_ns) <= _DEPTH_WITHIN_NS
+        is_near = nearest and abs(nearest.t_ns - t_ns) <= _DEPTH_WITHIN_NS
         return RawFrame(
             t_ns,
             image=ImageFile(image),
             intrinsics=camera or guessed_intrinsics(*size_of(image)),
-            depth=nearest.depth if has_depth else None,
+            depth=nearest.depth if nearest and is_near else None,
         )
 
     camera, of_depth = camera_beside(path), path / "depth.txt"
