@@ -150,8 +150,8 @@ bench-images: $(installed) #! Photos and video alone, of real captures, against 
 bench-cameras: $(installed) #! Simulated phones whose lens, shutter and focus are unknown (docs/results); hours
 	@$(py) -m benchmarks.phone_cameras
 
-bench-blurring: $(installed) #! What blurring of faces and plates finds, and what it blurs for nothing
-	@$(py) -m benchmarks.import_blurring $(if $(wildcard ../shared),--captures ../shared/captures)
+bench-blurring: $(installed) #! What blurring of faces finds, and what it blurs for nothing (docs/results); captures=<folder that shows nobody> labelled=<dlib's examples/faces> face_model=<YuNet's file>
+	@$(py) -m benchmarks.import_blurring $(if $(captures),--captures $(captures)) $(if $(labelled),--labelled $(labelled)) $(if $(face_model),--face-model $(face_model))
 
 docs: $(installed) #! Write the generated pages of docs/reference: tables, settings, commands, checks
 	@$(py) -m benchmarks.reference

@@ -81,18 +81,8 @@ def run_scenes(captures: Path, published: pd.DataFrame, data: DataRoot, profile:
     failed = []
     for scene, folder in there:
         print(f"{scene}: {folder}", flush=True)
-        options = [
-            "--scene",
-            scene,
-            "--captures",
-            folder,
-            "--profile",
-            profile,
-            "--data",
-            data.root,
-            "--until",
-            "train",
-        ]
+        options = ["--scene", scene, "--captures", folder, "--profile", profile, "--data", data.root]
+        options += ["--until", "train"]
         if subprocess.run([sys.executable, "-P", "-m", "groundwalk", "run", *map(str, options)]).returncode:
             failed.append(scene)
     return failed
@@ -168,14 +158,14 @@ def errors_of(data: DataRoot, profile: str, scene: str) -> dict[str, tuple[float
 def _table(
     published: pd.DataFrame, scenes: list[str], ours: dict[str, dict[str, tuple[float, float]]]
 ) -> list[list[str]]:
-    rows = [["regressor", *scenes]]
+    rows = [["method", *scenes]]
     for method, printed in published.groupby("method", sort=False):
         errors = printed.set_index("scene")[["median_position_m", "median_rotation_deg"]].dropna()
-        by_scene = {str(scene): f"{m:.2f} m, {deg:.1f}°" for scene, m, deg in errors.itertuples()}
+        by_scene = {str(scene): f"{m:.2f} m, {deg:.3g}°" for scene, m, deg in errors.itertuples()}
         rows.append([f"{method}, published", *(by_scene.get(scene, "") for scene in scenes)])
     for model in sorted({"PN", "MS-T", "Map", "HLoc"} | {model for of_scene in ours.values() for model in of_scene}):
         given = [ours.get(scene, {}).get(model) for scene in scenes]
-        rows.append([f"{model}, ours", *("" if e is None else f"{e[0]:.2f} m, {e[1]:.1f}°" for e in given)])
+        rows.append([f"{model}, ours", *("" if e is None else f"{e[0]:.2f} m, {e[1]:.3g}°" for e in given)])
     return rows
 
 

@@ -29,6 +29,9 @@ WIDTHS_PX = (160, 120, 80, 60, 40, 30, 24, 20)
 PLACES = ((150, 120), (700, 300), (1300, 600))
 # Where the face is in the portrait: its centre and width, in pixels.
 _FACE_X, _FACE_Y, _FACE_WIDTH = 265, 215, 180
+_HEAD = """Written by `python -m benchmarks.import_blurring`, not to be edited. Photos of people: dlib's
+`examples/faces`. Some of their faces have no box: the four regions of YuNet outside the boxes are such
+faces, looked at. Captures show nobody. The portrait: one face, put into pictures in many sizes."""
 app = new_app(__doc__ or "")
 
 
@@ -72,7 +75,7 @@ def _portrait_rows(detect: FaceDetector) -> Iterable[list[str]]:
 
 
 def _rows(detect: FaceDetector, labelled: Path | None, captures: Path | None, images: int) -> Iterable[list[str]]:
-    yield ["images", "number", "faces", "of these found", "false regions an image", "processor s an image"]
+    yield ["images", "number", "faces", "of these found", "other regions an image", "processor s an image"]
     found: dict[str, dict[Path, list[tuple[float, float]]]] = {}
     if labelled is not None:
         found["photos of people"] = labelled_faces(labelled)
@@ -106,7 +109,7 @@ def main(
     out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("docs/results"),
 ) -> None:
     """Write the tables, by OpenCV's own detectors and by YuNet where its file is named."""
-    sections = ["# Blurring of faces", "Written by `python -m benchmarks.import_blurring`, not to be edited."]
+    sections = ["# Blurring of faces", _HEAD]
     for name, model in {"OpenCV's own detectors": None, "YuNet": face_model}.items():
         if name == "YuNet" and model is None:
             continue

@@ -297,11 +297,7 @@ def _refuse_other_files(out: Path) -> None:
 
 def write_leaderboard(out: Path, rows: pd.DataFrame, sources: list[str], revision: str) -> str:
     """Write fusion.md and fusion.csv into the folder; returns what stands in fusion.md."""
-    head = {
-        "revision": revision,
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": busy_machine(),
-    }
+    head = {"revision": revision, "date": datetime.now(UTC).date().isoformat(), "machine": busy_machine()}
     rows.assign(**head).to_csv(out / _TABLE, index=False, float_format="%.6g", lineterminator="\n")
     lines = [*(f"- {name}: {value}" for name, value in head.items()), *(f"- {source}" for source in sources)]
     sections = [_HEADER, "\n".join(lines)]
