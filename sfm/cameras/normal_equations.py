@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, lapack, pinvh
 from scipy.sparse import bsr_array, csr_array, diags_array, lil_array
 from scipy.sparse.linalg import LinearOperator, cg
-from scipy.spatial import cKDTree
 
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.rows import summed
 
 # A step is solved to this fraction of its right side, in units of each unknown's own information.
 _TOLERANCE, _MAX_ITERATIONS = 1e-4, 40
-MAX_FACTORED = 25_000
-"""Unknowns of a system whose factor, or inverse, is formed: 5 GB."""
+MAX_FACTORED = 12_000
+"""Unknowns of a system whose factor, or inverse, is formed: 1.2 GB. Beyond it conjugate gradients are faster, too."""
 # Where no factor is formed: the same for an adjustment's steps, for products with the inverse, and the iterations.
 _STEP_TOLERANCE, _MAX_STEP_ITERATIONS = 1e-2, 500
 _FEW_STEP_ITERATIONS = 100  # within which a step is solved by an earlier one's factors, or else by its own
@@ -61,7 +60,7 @@ class System:
         number = np.arange(len(self.gradient))
         return np.flatnonzero((number >= self.size) | ~np.isin(number // (self.size // len(self.blocks)), self.held))
 
-    @cached_property
+    @property  # not kept: a system that referred to itself would stay in memory
     def of_free(self) -> "System":
         """The system of the free unknowns."""
         if not len(self.held):
@@ -131,7 +130,8 @@ class System:
             rows = np.arange(first, min(first + _POINTS, points))
             of_shared = csr_array(self.of_points_shared[:, 3 * first : 3 * first + 3 * len(rows)].T)
             pulled = csr_array(_rows_of(self._of_points_T, rows)) @ x[: self.size] + of_shared @ x[self.size :]
-            product -= (pulled.T @ pulled).toarray()
+            by_point = pulled.toarray()  # hardly sparse, as a point is seen from many clusters
+            product -= by_point.T @ by_point
         return np.asarray(product)
 
     def part(self, frames: NDArray[np.int64]) -> Array:
@@ -262,7 +262,7 @@ class Preconditioner:
         held. Of what is a frame's own, as its angular velocity, that is nearly all; of others it's too small."""
         found = np.zeros(self._size)
         for index, factor in zip(self._index, self._factors, strict=True):
-            found[index] = np.maximum(found[index], np.diag(cho_solve(factor, np.eye(len(index)))))
+            found[index] = np.diag(cho_solve(factor, np.eye(len(index))))
         return found
 
     def times(self, right: Array) -> Array:
@@ -344,8 +344,7 @@ def _rows_of(blocks: bsr_array, rows: NDArray[np.int64]) -> bsr_array:
 
 
 def _clusters(position_N3: Array) -> list[NDArray[np.int64]]:
-    """Frames in clusters of neighbours, halved along their longest extent until few are left, each with as many around
-    it that are others', too."""
+    """Frames in clusters of neighbours, halved along their longest extent until few are left."""
     whole, clusters = [np.arange(len(position_N3))], []
     while whole:
         members = whole.pop()
@@ -353,10 +352,8 @@ def _clusters(position_N3: Array) -> list[NDArray[np.int64]]:
         if len(members) > _CLUSTER:
             order = np.argsort(position[:, np.argmax(np.ptp(position, axis=0))], kind="stable")
             whole += np.array_split(members[order], 2)
-            continue
-        distance = cKDTree(position).query(position_N3)[0]
-        distance[members] = -1.0
-        clusters.append(np.sort(np.argsort(distance, kind="stable")[: 2 * len(members)]))
+        else:
+            clusters.append(np.sort(members))
     return clusters
 
 

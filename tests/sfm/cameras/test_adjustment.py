@@ -234,7 +234,7 @@ def test_a_model_too_large_for_a_factor_comes_out_the_same(monkeypatch: pytest.M
     exact, (_, angular), marginal = covariances(factored), frame_variances(factored), marginal_readout(factored)
     monkeypatch.setattr(adjustment, "MAX_FACTORED", 0)
     sampled, (_, of_clusters), of_large = covariances(factored), frame_variances(factored), marginal_readout(factored)
-    assert 0.8 < np.median(of_clusters / angular) <= 1
+    assert 0.75 < np.median(of_clusters / angular) <= 1  # clusters of six frames
     assert np.allclose(of_large.cameras.readout_s, marginal.cameras.readout_s, rtol=0.01)
     assert exact is not None and sampled is not None
     ratio = np.sqrt(np.einsum("nii->ni", sampled.poses) / np.einsum("nii->ni", exact.poses))
