@@ -6,6 +6,7 @@ exp(rotation) @ sfm_R_cam, true position = position of sfm_T_cam + position.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.rows import summed
+from groundwalk.store.cores import usable_cores
+from groundwalk.store.parallel import in_parallel
 
 # A step is solved to this fraction of its right side, in units of each unknown's own information.
 _TOLERANCE, _MAX_ITERATIONS = 1e-4, 40
@@ -27,7 +30,7 @@ _PRODUCT_TOLERANCE, _MAX_PRODUCT_ITERATIONS = 1e-3, 1500
 _CLUSTER = 64  # frames, at most, of which one factor is formed
 _CHUNK = 64  # frames at once, for memory
 _ROWS, _POINTS = 1024, 8192  # of a matrix, and points, likewise
-_FEW_COLUMNS = 8  # up to so many, products of blocks are as fast as those of single numbers
+_BLOCKS_A_PART = 1 << 15  # at least, for a core
 
 
 @dataclass(frozen=True)
@@ -94,25 +97,21 @@ class System:
         return self.of_points.T
 
     @cached_property
-    def _of_points_by_number(self) -> csr_array:
-        """`of_points`, for products with many columns."""
-        return csr_array(self.of_points)
+    def _parts(self) -> tuple[list[bsr_array], list[bsr_array]]:
+        """`of_points` and its transpose, in rows for each core."""
+        return _in_parts(self.of_points), _in_parts(self._of_points_T)
 
     def times(self, x: Array) -> Array:
         """The product of the matrix, which needn't be formed, with a vector (l N + G,) or with columns (l N + G, k)."""
         columns = x.reshape(len(x), -1)
-        if columns.shape[1] > _FEW_COLUMNS:
-            of_points: bsr_array | csr_array = self._of_points_by_number
-            of_points_T = of_points.T
-        else:
-            of_points, of_points_T = self.of_points, self._of_points_T
+        of_points, of_points_T = self._parts
         frames_x, shared = columns[: self.size], columns[self.size :]
         frames = len(self.blocks)
         local = self.size // frames
         pulled = self.blocks @ np.concatenate([frames_x.reshape(frames, local, -1), shared[self.columns]], axis=1)
-        by_points = of_points_T @ frames_x + self.of_points_shared.T @ shared
+        by_points = _product(of_points_T, frames_x) + self.of_points_shared.T @ shared
         product = self.information @ columns
-        product[: self.size] += pulled[:, :local].reshape(self.size, -1) - of_points @ by_points
+        product[: self.size] += pulled[:, :local].reshape(self.size, -1) - _product(of_points, by_points)
         product[: self.size] += self.gauge @ (self.gauge.T @ frames_x)
         np.add.at(product[self.size :], self.columns, pulled[:, local:])
         product[self.size :] -= self.of_points_shared @ by_points
@@ -287,22 +286,34 @@ class IterativeSolver:
         self, right: Array, tolerance: float = _PRODUCT_TOLERANCE, iterations: int = _MAX_PRODUCT_ITERATIONS
     ) -> tuple[Array, bool]:
         """x (l N + G,) or (l N + G, k), and whether it came to the tolerance within as many iterations as are taken at
-        most: the residual, in units of each unknown's own information, over that of `right`."""
-        residual, x = right.reshape(len(right), -1).copy(), np.zeros((len(right), right.size // len(right)))
-        limit = tolerance * self._norm(residual)
-        preconditioned = self.preconditioner.times(residual)
-        direction, product = preconditioned.copy(), np.sum(residual * preconditioned, axis=0)
+        most: the residual, in units of each unknown's own information, over that of `right`.
+
+        All columns move along all directions, which takes far fewer of them (Dubrulle, "Retooling the method of block
+        conjugate gradients", 2001): residual = basis @ size, with basis^T preconditioner basis = 1.
+        """
+        columns = right.reshape(len(right), -1)
+        x, limit = np.zeros_like(columns), tolerance * self._norm(columns)
+        basis, preconditioned, size = self._orthonormal(columns)
+        direction = preconditioned
         for _ in range(iterations):
-            if (self._norm(residual) <= limit).all():
+            if (self._norm(basis @ size) <= limit).all():
                 return x.reshape(right.shape), True
             pulled = self._times(direction)
-            length = product / np.maximum(np.sum(direction * pulled, axis=0), np.finfo(float).tiny)
-            x += length * direction
-            residual -= length * pulled
-            preconditioned = self.preconditioner.times(residual)
-            before, product = product, np.sum(residual * preconditioned, axis=0)
-            direction = preconditioned + product / np.maximum(before, np.finfo(float).tiny) * direction
+            length = pinvh(direction.T @ pulled)
+            x += direction @ (length @ size)
+            basis, preconditioned, change = self._orthonormal(basis - pulled @ length)
+            direction, size = preconditioned + direction @ change.T, change @ size
         return x.reshape(right.shape), False
+
+    def _orthonormal(self, columns: Array) -> tuple[Array, Array, Array]:
+        """Q (l N + G, r), what the preconditioner makes of it, and S (r, k) with Q S the k columns, as far as these are
+        independent, and Q^T preconditioner Q = 1."""
+        preconditioned = self.preconditioner.times(columns)
+        values, vectors = np.linalg.eigh(columns.T @ preconditioned)
+        kept = values > len(values) * np.finfo(float).eps * max(values[-1], np.finfo(float).tiny)
+        root = np.sqrt(values[kept])
+        inverse = vectors[:, kept] / root
+        return columns @ inverse, preconditioned @ inverse, root[:, None] * vectors[:, kept].T
 
     def inverse_times(self, right: Array) -> Array:
         """The inverse's product with a vector (l N + G,) or with columns (l N + G, k); LinAlgError where it takes too
@@ -341,6 +352,28 @@ def _rows_of(blocks: bsr_array, rows: NDArray[np.int64]) -> bsr_array:
     within = np.repeat(blocks.indptr[rows] - bounds[:-1], counts) + np.arange(bounds[-1])
     shape = (len(rows) * blocks.blocksize[0], blocks.shape[1])
     return bsr_array((blocks.data[within], blocks.indices[within], bounds), shape=shape)
+
+
+def _in_parts(blocks: bsr_array) -> list[bsr_array]:
+    """The same in some rows for each core, without copies."""
+    data, indices, indptr = blocks.data, blocks.indices, blocks.indptr
+    parts = max(1, min(usable_cores(), len(indices) // _BLOCKS_A_PART))
+    bounds = np.searchsorted(indptr, np.linspace(0, indptr[-1], parts + 1)).tolist()
+    bounds[-1] = len(indptr) - 1
+    height, width = blocks.blocksize[0], blocks.shape[1]
+    return [
+        bsr_array(
+            (data[indptr[a] : indptr[b]], indices[indptr[a] : indptr[b]], indptr[a : b + 1] - indptr[a]),
+            shape=(height * (b - a), width),
+        )
+        for a, b in pairwise(bounds)
+    ]
+
+
+def _product(parts: list[bsr_array], x: Array) -> Array:
+    if len(parts) == 1:
+        return np.asarray(parts[0] @ x)
+    return np.concatenate(list(in_parallel(lambda part: part @ x, parts)))
 
 
 def _clusters(position_N3: Array) -> list[NDArray[np.int64]]:

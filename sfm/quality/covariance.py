@@ -45,7 +45,7 @@ SHARED_ERRORS = 1.7
 _BANDS, _COLUMNS = 6, 8
 _CHUNK = 64  # frames at once, for memory
 # Samples of large models' errors, by which their standard deviations are known to 9 %, and those at once, for memory.
-_SAMPLES, _AT_ONCE = 60, 20
+_SAMPLES, _AT_ONCE = 60, 30
 
 
 @dataclass(frozen=True)
