@@ -1,5 +1,7 @@
 """Bundle adjustment with lens, rolling shutter and focus: derivatives, recovery, honest sigmas."""
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -222,6 +224,18 @@ def test_a_system_that_is_too_large_for_a_factor_is_solved_without_one(monkeypat
     monkeypatch.setattr(System, "matrix", None)
     apart = Solver().solve(system, diagonal, 1e-3, -system.gradient) - exact
     assert apart @ matrix @ apart < 1e-3 * (exact @ matrix @ exact)
+
+
+def test_a_system_that_was_solved_does_not_stay_in_memory() -> None:
+    system, diagonal, _ = _system(2)
+    Solver().solve(system, diagonal, 1e-3, -system.gradient)
+    left = weakref.ref(system)
+    gc.disable()  # it would free a system that refers to itself, but late
+    try:
+        del system
+        assert left() is None
+    finally:
+        gc.enable()
 
 
 def test_a_model_too_large_for_a_factor_comes_out_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
