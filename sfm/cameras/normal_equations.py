@@ -22,7 +22,7 @@ from groundwalk.store.parallel import in_parallel
 # A step is solved to this fraction of its right side, in units of each unknown's own information.
 _TOLERANCE, _MAX_ITERATIONS = 1e-4, 40
 MAX_FACTORED = 12_000
-"""Unknowns of a system whose factor, or inverse, is formed: 1.2 GB. Beyond it conjugate gradients are faster, too."""
+"""Unknowns of a system whose factor, or inverse, is formed: 1.2 GB."""
 # Where no factor is formed: the same for an adjustment's steps, for products with the inverse, and the iterations.
 _STEP_TOLERANCE, _MAX_STEP_ITERATIONS = 1e-2, 500
 _FEW_STEP_ITERATIONS = 100  # within which a step is solved by an earlier one's factors, or else by its own
