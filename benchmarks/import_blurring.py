@@ -1,9 +1,8 @@
 """What the blurring of faces finds, and what it blurs for nothing: `python -m benchmarks.import_blurring`.
 
-One portrait (public domain, of matplotlib's sample data) is put into pictures in many sizes: that shows down to which
-size the detectors see anything. `--labelled` names a folder of photos whose faces dlib's `imglab` has boxed
-(`examples/faces` of https://github.com/davisking/dlib: nine photos of people, 43 faces), `--captures` real captures
-that show nobody: all that is found there is false. Writes docs/results/blurring.md.
+`--labelled` names a folder of photos whose faces dlib's `imglab` has boxed (`examples/faces` of
+https://github.com/davisking/dlib: nine photos of people, 43 faces), `--captures` real captures that show nobody: all
+that is found there is false. Writes docs/results/blurring.md.
 """
 
 import time
@@ -12,8 +11,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
-import cv2
-import matplotlib
 import numpy as np
 import typer
 
@@ -25,30 +22,10 @@ from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.store.cli import new_app
 from groundwalk.store.progress import track
 
-WIDTHS_PX = (160, 120, 80, 60, 40, 30, 24, 20)
-PLACES = ((150, 120), (700, 300), (1300, 600))
-# Where the face is in the portrait: its centre and width, in pixels.
-_FACE_X, _FACE_Y, _FACE_WIDTH = 265, 215, 180
 _HEAD = """Written by `python -m benchmarks.import_blurring`, not to be edited. Photos of people: dlib's
 `examples/faces`. Some of their faces have no box: the four regions of YuNet outside the boxes are such
-faces, looked at. Captures show nobody. The portrait: one face, put into pictures in many sizes."""
+faces, looked at. Captures show nobody."""
 app = new_app(__doc__ or "")
-
-
-def with_portrait(width: int, x: int, y: int) -> tuple[np.ndarray, tuple[float, float]]:
-    """A picture (1440, 1920, 3) with the portrait at x, y, its face so wide; and where the face's centre is."""
-    portrait = decode_rgb((Path(matplotlib.get_data_path()) / "sample_data/grace_hopper.jpg").read_bytes(), 2**31)
-    scale = width / _FACE_WIDTH
-    small = cv2.resize(portrait, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)[: 1440 - y, : 1920 - x]
-    picture = _background()
-    picture[y : y + small.shape[0], x : x + small.shape[1]] = small
-    return picture, (x + _FACE_X * scale, y + _FACE_Y * scale)
-
-
-def _background() -> np.ndarray:
-    rng = np.random.default_rng(1)
-    coarse = rng.integers(60, 200, (9, 12, 3), dtype=np.uint8)
-    return cv2.resize(coarse, (1920, 1440), interpolation=cv2.INTER_LINEAR)
 
 
 def is_detected(regions: list[Region], centre: tuple[float, float]) -> bool:
@@ -67,13 +44,6 @@ def labelled_faces(folder: Path) -> dict[Path, list[tuple[float, float]]]:
     return found
 
 
-def _portrait_rows(detect: FaceDetector) -> Iterable[list[str]]:
-    yield ["width, px", "the portrait's face found"]
-    for width in WIDTHS_PX:
-        faces = [is_detected(detect(picture), at) for picture, at in (with_portrait(width, *p) for p in PLACES)]
-        yield [str(width), f"{sum(faces)} of {len(faces)}"]
-
-
 def _rows(detect: FaceDetector, labelled: Path | None, captures: Path | None, images: int) -> Iterable[list[str]]:
     yield ["images", "number", "faces", "of these found", "other regions an image", "processor s an image"]
     found: dict[str, dict[Path, list[tuple[float, float]]]] = {}
@@ -89,15 +59,9 @@ def _rows(detect: FaceDetector, labelled: Path | None, captures: Path | None, im
         seconds = (time.process_time() - start) / len(faces_of)
         faces = [is_detected(regions[path], face) for path, at in faces_of.items() for face in at]
         false = [r for path, at in faces_of.items() for r in regions[path] if not any(is_detected([r], f) for f in at)]
-        yield [
-            *(
-                name,
-                str(len(faces_of)),
-                str(len(faces)),
-                f"{sum(faces)} ({sum(faces) / len(faces):.0%})" if faces else "",
-            ),
-            *(f"{len(false) / len(faces_of):.2f}", f"{seconds:.2f}"),
-        ]
+        share = f"{sum(faces)} ({sum(faces) / len(faces):.0%})" if faces else ""
+        counts = [str(len(faces_of)), str(len(faces)), share]
+        yield [name, *counts, f"{len(false) / len(faces_of):.2f}", f"{seconds:.2f}"]
 
 
 @app.command()
@@ -114,8 +78,7 @@ def main(
         if name == "YuNet" and model is None:
             continue
         detect = FaceDetector(model)
-        rows = markdown_table(_rows(detect, labelled, captures, images))
-        sections += [f"## {name}", rows, markdown_table(_portrait_rows(detect))]
+        sections += [f"## {name}", markdown_table(_rows(detect, labelled, captures, images))]
     write_page(out, "blurring", [*sections, circumstances()])
 
 
