@@ -103,7 +103,8 @@ class Localiser(ABC):
 
         vio_T_cam: odometry pose (4, 4) in the session's frame, or None where tracking is lost.
         map_T_cam_predicted: predicted pose (4, 4), or None where there is none. One that isn't finite or isn't rigid is
-            taken as None, and the estimate's reasons hold `prediction_invalid`.
+            taken as None, and the estimate's reasons hold `prediction_invalid`. Where it comes late, as from a server,
+            odometry carries it to this frame first: map_T_cam_then @ inverse(vio_T_cam_then) @ vio_T_cam.
         gravity: unit vector (3,) pointing down, camera axes, or None; none of these methods looks at it.
         predicted_covariance: (6, 6) of the prediction's error in the map frame, rotation (rad) then translation (m), or
             None. One that isn't positive definite is taken as None, and the estimate's reasons hold
