@@ -17,7 +17,7 @@ from types import ModuleType
 from typing import Any, Protocol, cast
 
 from groundwalk.store.errors import UserError
-from groundwalk.store.progress import Reporter
+from groundwalk.store.progress import Reporter, tell
 from groundwalk.store.signals import signals_held_from_workers
 
 _TAIL_LINES = 15
@@ -170,9 +170,14 @@ def _errors_of_others(open_ones: list[_Running], text: str, log: Path, remedy: s
 def _work(pipe: Connection, log: Path, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     _end_with_parent()
 
+    items = 0
+
     def report(done: int, note: str = "") -> None:
+        nonlocal items
+        items = done
         pipe.send(("progress", (done, note)))
 
+    tell(lambda line: report(items, line))
     try:
         # Native libraries write to the process's streams, beneath Python's.
         with log.open("ab") as file:

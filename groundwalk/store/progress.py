@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
 from rich.console import Console
@@ -26,6 +26,15 @@ class TextConsole(Console):
 
 console = TextConsole(stderr=True, highlight=False, soft_wrap=True)
 stdout = TextConsole(highlight=False, soft_wrap=True)
+
+
+_tell: Callable[[str], None] | None = None
+
+
+def tell(function: Callable[[str], None]) -> None:
+    """Give this process's lines of progress to a function, which a process that works for another passes on."""
+    global _tell
+    _tell = function
 
 
 class Reporter:
@@ -61,7 +70,11 @@ class Reporter:
         now = time.monotonic()
         if now - self._last_line >= _LOG_EVERY_S:
             self._last_line = now
-            print(f"  {self.text}: {self._summary(now)}", file=sys.stderr, flush=True)
+            line = f"{self.text}: {self._summary(now)}"
+            if _tell is not None:
+                _tell(line)
+            else:
+                print(f"  {line}", file=sys.stderr, flush=True)
 
     def _summary(self, now: float) -> str:
         if not self.total:
@@ -69,7 +82,7 @@ class Reporter:
         if not self.done:
             return f"0/{self.total}"
         done = f"{self.done}/{self.total} ({100 * self.done / self.total:.0f} %)"
-        if self.done < _TELLING * self.total:
+        if self.done < _TELLING * self.total or self.done == self.total:
             return done
         left = (now - self._start) / self.done * (self.total - self.done)
         return f"{done}, {format_seconds(left)} left"

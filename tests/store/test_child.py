@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from groundwalk.store import UserError
+from groundwalk.store import UserError, progress
 from groundwalk.store.child import Report, Task, in_child, in_children
 
 
@@ -31,6 +31,13 @@ def _write_for_ever(report: Report, path: Path) -> None:
     while True:
         path.write_text(str(time.time()))
         time.sleep(0.02)
+
+
+def _count(report: Report) -> None:
+    progress._LOG_EVERY_S = 0.0
+    report(7)
+    for _ in progress.track(range(3), "adjusting"):
+        pass
 
 
 def said(folder: Path, *program: object, **environment: str) -> list[str]:
@@ -72,6 +79,14 @@ def _meet(report: Report, mine: Path, other: Path) -> str:
 def test_tasks_run_side_by_side(tmp_path: Path) -> None:
     a, b = tmp_path / "a", tmp_path / "b"
     assert in_children("meeting", tmp_path / "log", "", [Task(_meet, (a, b), 1), Task(_meet, (b, a), 1)]) == ["a", "b"]
+
+
+def test_progress_within_a_task_is_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "_LOG_EVERY_S", 0.0)
+    in_child("mapping", tmp_path / "log", "", Task(_count, (), 8))
+    assert "mapping: adjusting: 2/3 (67 %), 0 s left: 7/8 (88 %)" in capsys.readouterr().err
 
 
 def test_one_error_ends_the_others(tmp_path: Path) -> None:
