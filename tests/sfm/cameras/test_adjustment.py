@@ -252,7 +252,7 @@ def test_a_model_too_large_for_a_factor_comes_out_the_same(monkeypatch: pytest.M
     assert np.allclose(of_large.cameras.readout_s, marginal.cameras.readout_s, rtol=0.01)
     assert exact is not None and sampled is not None
     ratio = np.sqrt(np.einsum("nii->ni", sampled.poses) / np.einsum("nii->ni", exact.poses))
-    assert abs(np.median(ratio) - 1) < 0.1 and ratio.std() < 0.15
+    assert abs(np.median(ratio) - 1) < 0.15 and ratio.std() < 0.15
     assert np.allclose(sampled.shared, exact.shared, rtol=0.01, atol=0.01 * np.diag(exact.shared).min())
 
 
