@@ -23,8 +23,8 @@ from groundwalk.store.cli import new_app
 from groundwalk.store.progress import track
 
 _HEAD = """Written by `python -m benchmarks.import_blurring`, not to be edited. Photos of people: dlib's
-`examples/faces`. Some of their faces have no box: the four regions of YuNet outside the boxes are such
-faces, looked at. Captures show nobody."""
+`examples/faces`, where some faces have no box, so that a region outside the boxes may be right. Captures show
+nobody: all regions there are false."""
 app = new_app(__doc__ or "")
 
 

@@ -6,6 +6,7 @@ import math
 import re
 import stat
 import sys
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -100,6 +101,14 @@ def core_motion(path: Path, limits: Limits, unit_s: float = 1.0) -> Acceleration
     return Accelerations(table[:, 0].astype(np.int64), -table[:, 1:] @ _CAM_R_PHONE.T)
 
 
+def nearest(rows: Sequence[RawFrame], t_ns: int, within_ns: int) -> int | None:
+    """The place of the row, of rows in the order of time, that is nearest to a time; None where none is within."""
+    at = bisect_left(rows, t_ns, key=lambda row: row.t_ns)
+    around = {i: abs(rows[i].t_ns - t_ns) for i in (at - 1, at) if 0 <= i < len(rows)}
+    near = min(around, key=around.__getitem__, default=-1)
+    return near if around and around[near] <= within_ns else None
+
+
 def join_by_time(poses: Sequence[RawFrame], images: Sequence[RawFrame]) -> list[RawFrame]:
     """One log from rows with poses and rows with images, in the order of time, numbered anew.
 
@@ -107,14 +116,11 @@ def join_by_time(poses: Sequence[RawFrame], images: Sequence[RawFrame]) -> list[
     interpolated.
     """
     poses = sorted(poses, key=lambda row: row.t_ns)
-    times = np.array([row.t_ns for row in poses], dtype=np.int64)
     joined: set[int] = set()
     rows = []
     for image in images:
-        at = int(np.searchsorted(times, image.t_ns))
-        around = {i: abs(poses[i].t_ns - image.t_ns) for i in (at - 1, at) if 0 <= i < len(poses)}
-        near = min(around, key=around.__getitem__, default=-1)
-        if around and around[near] <= _SAME_NS and near not in joined:
+        near = nearest(poses, image.t_ns, _SAME_NS)
+        if near is not None and near not in joined:
             joined.add(near)
             image = replace(image, vio_T_cam=poses[near].vio_T_cam, tracking=poses[near].tracking)
         rows.append(image)

@@ -30,18 +30,18 @@ def read(path: Path, limits: Limits) -> Recording:
 
     def read_image(_: int, line: str) -> RawFrame:
         t_ns, image = file_of(line)
-        nearest = min(depths, key=lambda depth: abs(depth.t_ns - t_ns), default=None)
-        is_near = nearest and abs(nearest.t_ns - t_ns) <= _DEPTH_WITHIN_NS
+        near = parsing.nearest(depths, t_ns, _DEPTH_WITHIN_NS)
         return RawFrame(
             t_ns,
             image=ImageFile(image),
             intrinsics=camera or guessed_intrinsics(*size_of(image)),
-            depth=nearest.depth if nearest and is_near else None,
+            depth=None if near is None else depths[near].depth,
         )
 
     camera, of_depth = camera_beside(path), path / "depth.txt"
     poses, rejects = parsing.read_rows(parsing.lines_of(path / "groundtruth.txt", limits), _read_pose)
     depths, no_depths = parsing.read_rows(parsing.lines_of(of_depth, limits) if of_depth.is_file() else [], read_depth)
+    depths.sort(key=lambda depth: depth.t_ns)
     images, no_images = parsing.read_rows(parsing.lines_of(path / "rgb.txt", limits), read_image)
     return Recording(
         "unknown",

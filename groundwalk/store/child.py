@@ -151,6 +151,8 @@ def _receive(one: _Running, text: str, log: Path, remedy: str) -> Exception | No
         return cast(Exception, value)
     if kind == "progress":
         one.done, one.note = value
+    elif kind == "note":
+        one.note = value
     else:
         one.result.append(value)
     return None
@@ -170,14 +172,10 @@ def _errors_of_others(open_ones: list[_Running], text: str, log: Path, remedy: s
 def _work(pipe: Connection, log: Path, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     _end_with_parent()
 
-    items = 0
-
     def report(done: int, note: str = "") -> None:
-        nonlocal items
-        items = done
         pipe.send(("progress", (done, note)))
 
-    tell(lambda line: report(items, line))
+    tell(lambda line: pipe.send(("note", line)))
     try:
         # Native libraries write to the process's streams, beneath Python's.
         with log.open("ab") as file:

@@ -28,7 +28,11 @@ console = TextConsole(stderr=True, highlight=False, soft_wrap=True)
 stdout = TextConsole(highlight=False, soft_wrap=True)
 
 
-_tell: Callable[[str], None] | None = None
+def _print(line: str) -> None:
+    print(f"  {line}", file=sys.stderr, flush=True)
+
+
+_tell: Callable[[str], None] = _print
 
 
 def tell(function: Callable[[str], None]) -> None:
@@ -70,11 +74,7 @@ class Reporter:
         now = time.monotonic()
         if now - self._last_line >= _LOG_EVERY_S:
             self._last_line = now
-            line = f"{self.text}: {self._summary(now)}"
-            if _tell is not None:
-                _tell(line)
-            else:
-                print(f"  {line}", file=sys.stderr, flush=True)
+            _tell(f"{self.text}: {self._summary(now)}")
 
     def _summary(self, now: float) -> str:
         if not self.total:

@@ -33,6 +33,7 @@ from groundwalk.sfm.cameras.adjustment import (
 )
 from groundwalk.sfm.cameras.model_adjustment import with_likeliest_sds, with_shrunk_sds
 from groundwalk.sfm.cameras.normal_equations import Solver, System
+from groundwalk.sfm.quality import covariance
 from groundwalk.sfm.quality.covariance import coherence, covariances
 from tests.known import there
 
@@ -247,12 +248,14 @@ def test_a_model_too_large_for_a_factor_comes_out_the_same(monkeypatch: pytest.M
     assert np.allclose(large.cameras.coefficients, factored.cameras.coefficients, atol=2e-3)
     exact, (_, angular), marginal = covariances(factored), frame_variances(factored), marginal_readout(factored)
     monkeypatch.setattr(adjustment, "MAX_FACTORED", 0)
+    monkeypatch.setattr(normal_equations, "_CLUSTER", 12)
+    monkeypatch.setattr(covariance, "_SAMPLES", 240)
     sampled, (_, of_clusters), of_large = covariances(factored), frame_variances(factored), marginal_readout(factored)
-    assert 0.75 < np.median(of_clusters / angular) <= 1  # clusters of six frames
+    assert 0.8 < np.median(of_clusters / angular) <= 1
     assert np.allclose(of_large.cameras.readout_s, marginal.cameras.readout_s, rtol=0.01)
     assert exact is not None and sampled is not None
     ratio = np.sqrt(np.einsum("nii->ni", sampled.poses) / np.einsum("nii->ni", exact.poses))
-    assert abs(np.median(ratio) - 1) < 0.15 and ratio.std() < 0.15
+    assert abs(np.median(ratio) - 1) < 0.1 and ratio.std() < 0.15
     assert np.allclose(sampled.shared, exact.shared, rtol=0.01, atol=0.01 * np.diag(exact.shared).min())
 
 
