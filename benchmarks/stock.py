@@ -36,6 +36,13 @@ _ANYWHERE_M = 1e3  # standard error of a position that only chooses pairs
 _DOWN = np.array([0.0, -1.0, 0.0])  # in VIO's frame
 
 
+class CameraModel(StrEnum):
+    """Which of COLMAP's camera models each session's images get."""
+
+    OPENCV = "OPENCV"
+    FULL_OPENCV = "FULL_OPENCV"
+
+
 class Pairs(StrEnum):
     """Which of COLMAP's matchers chooses the pairs."""
 
@@ -77,15 +84,15 @@ def stock_poses(folder: Path, frames: int) -> tuple[Array, np.ndarray]:
     return model.sfm_T_cam, model.model
 
 
-def _session_cameras(frames: pd.DataFrame) -> tuple[list[pycolmap.Camera], Ints]:
-    """An OPENCV camera for each session and image size, without distortion, at the median of the logged intrinsics; and
-    which of them each frame has (N,)."""
+def _session_cameras(frames: pd.DataFrame, camera_model: CameraModel) -> tuple[list[pycolmap.Camera], Ints]:
+    """A camera for each session and image size, without distortion, at the median of the logged intrinsics; and which
+    of them each frame has (N,)."""
     sizes = frames.groupby(["session_id", "width", "height"], sort=True)
     cameras = []
     for number, (_, rows) in enumerate(sizes):
         width, height = rows[["width", "height"]].iloc[0].tolist()
-        params = [*rows[["fx", "fy", "cx", "cy"]].median(), 0.0, 0.0, 0.0, 0.0]
-        camera = pycolmap.Camera(camera_id=number + 1, model="OPENCV", width=width, height=height, params=params)
+        camera = pycolmap.Camera.create_from_model_name(number + 1, camera_model, 1.0, width, height)
+        camera.params = [*rows[["fx", "fy", "cx", "cy"]].median(), *np.zeros(len(camera.params) - 4)]
         camera.has_prior_focal_length = True
         cameras.append(camera)
     return cameras, np.asarray(sizes.ngroup(), np.int64)
@@ -122,8 +129,9 @@ def main(
         typer.Option(help="Give it VIO's positions as priors with this standard error and a robust loss; 0: none."),
     ] = 0.0,
     gravity: Annotated[bool, typer.Option("--gravity", help="Its global mapper, told VIO's gravity.")] = False,
+    camera_model: Annotated[CameraModel, typer.Option(help="Camera model of all images.")] = CameraModel.OPENCV,
 ) -> None:
-    """Map an imported scene with stock COLMAP: an OPENCV camera a session, started at the logged intrinsics."""
+    """Map an imported scene with stock COLMAP: one camera a session, started at the logged intrinsics."""
     sfm_settings, root = SfmSettings.model_validate_json(settings), DataRoot(data)
     frames = read_table(root.run(profile, scene, "import") / "frames.parquet", schema("import", "frames"))
     shutil.rmtree(out, ignore_errors=True)
@@ -134,7 +142,7 @@ def main(
         source = (root.captures(scene) if inside == image else root.run(profile, scene, "import")) / inside
         (images / name).parent.mkdir(parents=True, exist_ok=True)
         (images / name).symlink_to(source.resolve())
-    _create_database(database, names, *_session_cameras(frames))
+    _create_database(database, names, *_session_cameras(frames, camera_model))
 
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.use_gpu = False
