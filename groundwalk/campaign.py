@@ -19,6 +19,7 @@ from typing import Annotated, Any
 import pandas as pd
 import typer
 
+from groundwalk.bucket import download, is_address, upload
 from groundwalk.cli import all_commands, stage_of
 from groundwalk.pipeline import Step, check, is_step_up_to_date, steps
 from groundwalk.store import progress
@@ -28,7 +29,7 @@ from groundwalk.store.cores import usable_cores
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import read_json, write_json, written_aside
 from groundwalk.store.locks import locked
-from groundwalk.store.manifests import MANIFEST
+from groundwalk.store.manifests import MANIFEST, listed_files
 from groundwalk.store.runs import finished_stages
 from groundwalk.store.settings import STAGES, DataRoot, checked_name
 
@@ -79,6 +80,9 @@ def campaign(
     profile: ProfileOption = "demo",
     cores: Annotated[int | None, typer.Option(help="Cores to use of this machine; all unless named.", min=1)] = None,
     status: Annotated[bool, typer.Option("--status", help="Only say what became of each scene so far.")] = False,
+    results: Annotated[
+        str, typer.Option(help="In the end send finished stages and the page there, too, as s3://bucket/folder.")
+    ] = "",
     data: DataOption = Path("data"),
 ) -> None:
     """Run many scenes as a Snakemake workflow; what follows `--` is Snakemake's, as `-- --executor slurm --jobs 50`.
@@ -98,6 +102,8 @@ def campaign(
     outcome = write_report(folder, root)
     write_index(root)
     progress.stdout.print(f"{_counts(outcome)}: {folder / PAGE}")
+    if results:
+        upload(root.root, _results(folder, outcome, root), results)
     if not status and (failed or (outcome["state"] != State.DONE).any()):
         raise typer.Exit(1)
 
@@ -116,7 +122,13 @@ def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str
             continue
         seen.add(of_scene)
         try:
-            if captures := row.get("captures"):
+            captures = row.get("captures", "")
+            if is_address(captures):
+                local = data.root / "downloads" / checked_name("scene", scene)
+                local.mkdir(parents=True, exist_ok=True)
+                link_folder(data, scene, local)
+                download(captures, local)
+            elif captures:
                 link_folder(data, scene, table.parent / Path(captures).expanduser())
             jobs |= {job.id: job for job in _jobs_of(data, row.get("profile", profile), scene, row.get("until"))}
         except UserError as error:
@@ -293,6 +305,14 @@ def _row(folder: Path, job: Job, data: DataRoot) -> dict[str, Any]:
     _, error, message = text.rpartition("error: ")
     state = State.REFUSED if _refusal(folder, job).exists() else State.FAILED
     return {**row, "state": state, "message": message.strip() if error else last_line}
+
+
+def _results(folder: Path, outcome: pd.DataFrame, data: DataRoot) -> list[str]:
+    """The files of a campaign's finished stages, its table and its page, by their paths in the data folder."""
+    done = outcome[(outcome["state"] == State.DONE) & (outcome["stage"] != "simulate")]
+    stages = [data.run(*names) for names in done[["profile", "scene", "stage"]].to_numpy().tolist()]
+    files = [stage / name for stage in stages for name in sorted(listed_files(stage)) if (stage / name).is_file()]
+    return [path.relative_to(data.root).as_posix() for path in (*files, folder / TABLE, folder / PAGE)]
 
 
 def _counts(table: pd.DataFrame) -> str:

@@ -19,8 +19,8 @@ from tests.capture_import.capture_writers import WRITERS, make_walk
 ONE = "tiny/one"
 
 
-def run_campaign(table: Path, data: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "groundwalk", "campaign", table, "--profile", "tiny", "--data", data]
+def run_campaign(table: Path, data: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "groundwalk", "campaign", table, "--profile", "tiny", "--data", data, *options]
     return subprocess.run([*map(str, command)], capture_output=True, text=True)
 
 
