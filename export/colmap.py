@@ -16,7 +16,7 @@ from urllib.parse import unquote
 import numpy as np
 import pycolmap
 
-from groundwalk.export.dataset import Dataset, Images, SfmModel, number
+from groundwalk.export.dataset import Dataset, Images, SfmModel, numbers, write_lines
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import inverse, tq_from_pose
 from groundwalk.store import UserError
@@ -38,8 +38,7 @@ def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool =
         _, _, geodetic = dataset.georeference.places(dataset.map_T_cam[:, :3, 3])
         # A place without altitude is on the ellipsoid to COLMAP.
         rows = zip(names, np.nan_to_num(geodetic), strict=True)
-        lines = [" ".join([name, *map(number, place)]) + "\n" for name, place in rows]
-        (folder / "geo_registration.txt").write_text("".join(lines), encoding="utf-8")
+        write_lines(folder / "geo_registration.txt", [f"{name} {numbers(*place)}" for name, place in rows])
     return place_images(dataset, folder, names, images)
 
 
@@ -47,9 +46,7 @@ def write_splits(dataset: Dataset, folder: Path, names: Sequence[str]) -> None:
     """Write the names of each split's images, "" being none."""
     for split in ("train", "val", "test"):
         named = zip(names, dataset.frames["split"], strict=True)
-        (folder / f"{split}.txt").write_text(
-            "".join(f"{name}\n" for name, of in named if name and of == split), encoding="utf-8"
-        )
+        write_lines(folder / f"{split}.txt", [name for name, of in named if name and of == split])
 
 
 def place_images(dataset: Dataset, folder: Path, names: Sequence[str], images: Images) -> list[str]:
@@ -79,8 +76,7 @@ def model_in_map(dataset: Dataset, sfm_model: SfmModel, names: Sequence[str]) ->
         )
     for frame_id in by_frame.keys() - set(sfm_model.frame_ids):
         found.deregister_frame(by_frame[frame_id].frame_id)
-    row_of = {frame_id: row for row, frame_id in enumerate(dataset.frames["frame_id"])}
-    rows = [row_of[frame_id] for frame_id in sfm_model.frame_ids]
+    rows = dataset.rows_of(sfm_model.frame_ids)
     listed = [by_frame[frame_id] for frame_id in sfm_model.frame_ids]
     model, ids = pycolmap.Reconstruction(), dict[tuple[str, Camera], int]()
     cameras, devices = dataset.cameras, dataset.devices
@@ -147,17 +143,16 @@ def write_hloc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
         )
     names = dataset.image_names
     write_model(model_in_map(dataset, replace(largest, frame_ids=reference), names), folder / "reference")
-    cameras, poses = list[str](), list[str]()
+    cameras, poses, all_cameras = list[str](), list[str](), dataset.cameras
     position, quaternion = tq_from_pose(inverse(dataset.map_T_cam))
-    all_cameras, row_of = dataset.cameras, {frame_id: row for row, frame_id in enumerate(dataset.frames["frame_id"])}
-    for row in (row_of[frame_id] for frame_id in queries):
+    for row in dataset.rows_of(queries):
         camera = all_cameras[row]
         model, parameters = colmap_camera(camera)
-        cameras.append(" ".join([names[row], model, str(camera.width), str(camera.height), *map(number, parameters)]))
+        cameras.append(f"{names[row]} {model} {camera.width} {camera.height} {numbers(*parameters)}")
         x, y, z, w = quaternion[row]
-        poses.append(" ".join([names[row], *map(number, (w, x, y, z, *position[row]))]))
-    for file, lines in (("queries_with_intrinsics.txt", cameras), ("queries_poses.txt", poses)):
-        (folder / file).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+        poses.append(f"{names[row]} {numbers(w, x, y, z, *position[row])}")
+    write_lines(folder / "queries_with_intrinsics.txt", cameras)
+    write_lines(folder / "queries_poses.txt", poses)
     of_largest = dataset.frames["frame_id"].isin(largest.frame_ids)
     listed = [name if is_in else "" for name, is_in in zip(names, of_largest, strict=True)]
     return place_images(dataset, folder, listed, images)

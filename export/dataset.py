@@ -1,5 +1,6 @@
 """The exported data: the frames that have ground truth, with their images, and SfM's model brought into the map."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -139,6 +140,10 @@ class Dataset:
     def in_test(self) -> np.ndarray:
         """(N,) for formats that know training and test alone: validation frames are part of the training walks."""
         return (self.frames["split"] == "test").to_numpy()
+
+    def rows_of(self, frame_ids: Sequence[str]) -> list[int]:
+        """Rows of frames with these ids."""
+        return pd.Index(self.frames["frame_id"]).get_indexer(list(frame_ids)).tolist()
 
     def sequences(self) -> list[tuple[bool, np.ndarray]]:
         """(for testing, rows in order of time) of each sequence, for formats in which one is wholly for training or for
@@ -349,6 +354,11 @@ def read_finished(
     return folder, manifest
 
 
-def number(value: float) -> str:
-    """A number as text that reads back the same."""
-    return repr(float(value))
+def numbers(*values: float, separator: str = " ") -> str:
+    """Numbers as text that reads back the same."""
+    return separator.join(repr(float(value)) for value in values)
+
+
+def write_lines(file: Path, lines: Iterable[str]) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
