@@ -270,7 +270,7 @@ def _beyond_context(rate_N3: Array, dt: Array) -> Array:
 def far_origin(sessions: Sequence[Session]) -> Array | None:
     """The origin (3,) to take off the positions of all references, in their unit and axes; None where these are near
     enough to theirs. Round to a power of ten of about the extent."""
-    positions = [s.poses[:, :3, 3] for s in sessions if s.frames and s.has_poses and not s.has_vio]
+    positions = [s.poses[:, :3, 3] for s in sessions if s.frames and s.has_reference]
     if not positions:
         return None
     xyz = np.concatenate(positions)
@@ -283,7 +283,7 @@ def far_origin(sessions: Sequence[Session]) -> Array | None:
 
 def moved(session: Session, origin: Array) -> Session:
     """The session with poses from another origin, where they are a reference."""
-    if session.has_vio or not session.has_poses:
+    if not session.has_reference:
         return session
 
     def of(frame: RawFrame) -> RawFrame:

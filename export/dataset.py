@@ -74,13 +74,18 @@ class ImageSource:
             return self.file.suffix
         return ".png" if self.file.suffix.lower() == ".png" else ".jpg"
 
+    def existing(self) -> Path:
+        """Its file; UserError where that is gone."""
+        if not self.file.is_file():
+            raise UserError("an image is missing", where=self.file, do="import the scene again")
+        return self.file
+
     def place(self, target: Path, images: Images) -> None:
         """Link the image to `target`, or copy it without metadata; undistorted, or as the PNG that `target` asks for,
         it's written anew."""
         if images == "none":
             return
-        if not self.file.is_file():
-            raise UserError("an image is missing", where=self.file, do="import the scene again")
+        self.existing()
         target.parent.mkdir(parents=True, exist_ok=True)
         if self.undistorted is None and (target.suffix == self.file.suffix or target.suffix != ".png"):
             if images == "link":

@@ -12,11 +12,11 @@ from pathlib import Path
 
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
-from groundwalk.capture_import.data_sets import NO_DISTORTION, export_world, size_of
+from groundwalk.capture_import.data_sets import NO_DISTORTION, export_world, reference, size_of
 from groundwalk.capture_import.formats import Format
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import UserError
-from groundwalk.store.choices import Clock, PoseSource, SessionSplit
+from groundwalk.store.choices import Clock, SessionSplit
 
 _LISTS = {"dataset_train.txt": SessionSplit.TRAIN, "dataset_test.txt": SessionSplit.TEST}
 
@@ -63,10 +63,7 @@ def read(path: Path, limits: Limits) -> Recording:
 
     frames, rejects = parsing.read_rows(rows, read_row)
     frames.sort(key=lambda frame: frame.number)
-    reference = PoseSource.REFERENCE
-    return Recording(
-        "Cambridge Landmarks", Clock.NAME_ORDER, path, frames, rejects, reference, is_gravity_aligned=False
-    )
+    return reference("Cambridge Landmarks", Clock.NAME_ORDER, path, frames, rejects)
 
 
 def _focal_lengths(file: Path, folder: str, limits: Limits) -> dict[str, float]:
