@@ -233,8 +233,8 @@ class Session:
     session_id: str
     recording: Recording
     frames: list[RawFrame]
-    jumps: list[Jump]
-    rejects: list[Reject]
+    jumps: Sequence[Jump] = ()
+    rejects: Sequence[Reject] = ()
 
     @cached_property
     def images(self) -> list[Image]:

@@ -101,11 +101,10 @@ def _by_camera(recording: Recording, frames: list[RawFrame], rejects: list[Rejec
         recording = replace(recording, notes=[*recording.notes, note])
     return [
         Session(
-            recording.recording_id + (f".{'part' if part else 'camera'}{place + 1}" if place else ""),
-            recording,
-            own,
-            [],
-            [] if place else rejects,
+            session_id=recording.recording_id + (f".{'part' if part else 'camera'}{place + 1}" if place else ""),
+            recording=recording,
+            frames=own,
+            rejects=() if place else rejects,
         )
         for place, ((_, part), own) in enumerate((of_session or {("", 0): []}).items())
     ]
