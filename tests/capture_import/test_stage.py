@@ -284,9 +284,9 @@ def test_what_a_capture_states_of_its_shutter_is_in_frames_and_a_wrong_header_is
         stated(first_row="bottom", readout_s=0.0187)
         frames = imported(tmp_path, *settings)["frames"]
         assert set(frames["first_row"]) == {side} and set(frames["stated_readout_s"]) == {0.0187}
-    wrong: list[dict[str, object]] = [{"first_row": "down"}, {"gravity_aligned": "no"}]
-    for members in [*wrong, *({"readout_s": value} for value in (18.7, -0.01, True, "20 ms"))]:
-        stated(**members)
+    readouts: list[tuple[str, object]] = [("readout_s", value) for value in (18.7, -0.01, True, "20 ms")]
+    for key, value in [("first_row", "down"), ("gravity_aligned", "no"), *readouts]:
+        stated(**{key: value})
         with pytest.raises(UserError, match=r"(?s)isn't its header.*readout_s, seconds, 0 to 0.*true or false"):
             read_one(place)
 
