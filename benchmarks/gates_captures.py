@@ -119,7 +119,7 @@ def _corridor(seed: int) -> SceneryPlan:
 _STONE = [(150, 162, 170), (120, 132, 142), (96, 110, 126)]
 
 
-def _same(seed: int, paint: Material) -> materials.Material:
+def _same(seed: int, paint: Material) -> Material:
     """The material painted from a seed of its own, so that it comes out the same wherever it is."""
 
     def painted(c: Canvas) -> None:

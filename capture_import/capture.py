@@ -233,8 +233,8 @@ class Session:
     session_id: str
     recording: Recording
     frames: list[RawFrame]
-    jumps: list[Jump]
-    rejects: list[Reject]
+    jumps: Sequence[Jump] = ()
+    rejects: Sequence[Reject] = ()
 
     @cached_property
     def images(self) -> list[Image]:
@@ -255,10 +255,20 @@ class Session:
         """Poses (N, 4, 4) of its frames."""
         return poses_of(self.frames)
 
+    def poses_at(self, frame_ids: Iterable[str]) -> Array:
+        """Poses (N, 4, 4) of its images with these ids."""
+        pose_of = {self.frame_id(image.number): image.vio_T_cam for image in self.images}
+        return np.array([pose_of[frame_id] for frame_id in frame_ids], dtype=float).reshape(-1, 4, 4)
+
     @property
     def has_vio(self) -> bool:
         """Whether its poses are the phone's odometry."""
         return self.recording.pose_source == PoseSource.VIO
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether its poses are from elsewhere."""
+        return self.recording.pose_source == PoseSource.REFERENCE
 
     @property
     def has_poses(self) -> bool:

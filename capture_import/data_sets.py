@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, Recording, Reject
 from groundwalk.capture_import.media.images import BadImage, image_size
@@ -42,6 +42,14 @@ def guessed_intrinsics(width: int, height: int, focal_sd: float = 0.0) -> Intrin
     """Intrinsics of an image of this size that nothing states: of the focal length that COLMAP assumes, too."""
     f = 1.2 * max(width, height)
     return Intrinsics(f, f, width / 2, height / 2, width, height, focal_sd=focal_sd)
+
+
+def reference(
+    device: str, clock: Clock, folder: Path, frames: Sequence[RawFrame], rejects: Sequence[Reject], **stated: Any
+) -> Recording:
+    """A recording with poses from elsewhere, in a world of which nothing says where up is unless that's `stated`."""
+    stated = {"is_gravity_aligned": False} | stated
+    return Recording(device, clock, folder, frames, rejects, PoseSource.REFERENCE, **stated)
 
 
 def images_alone(
@@ -135,17 +143,8 @@ def read_reference(
         return RawFrame(seconds_to_ns(place), pose, ImageFile(row[0]), camera, split=split)
 
     frames, rejects = read_rows(own, read_row)
-    return Recording(
-        "unknown",
-        Clock.NAME_ORDER,
-        path,
-        frames,
-        rejects,
-        pose_source=PoseSource.REFERENCE,
-        is_gravity_aligned=is_metric,
-        is_metric=is_metric,
-        notes=notes,
-    )
+    stated = {"is_gravity_aligned": is_metric, "is_metric": is_metric, "notes": notes}
+    return reference("unknown", Clock.NAME_ORDER, path, frames, rejects, **stated)
 
 
 def is_metric_export(data_set: Path) -> bool:

@@ -8,7 +8,7 @@ import stat
 import sys
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -43,6 +43,15 @@ SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif")
 
 class BadRow(ValueError):
     """A row or file of a log that can't be read; the message says why, short enough for a rejects table."""
+
+
+@contextmanager
+def refused(what: str, where: Path, expected: str | None = None) -> Iterator[None]:
+    """UserError where what is done meanwhile raises BadRow, or finds too few numbers."""
+    try:
+        yield
+    except ValueError as error:
+        raise UserError(what, where=where, expected=expected, found=error) from None
 
 
 def read_rows(
@@ -189,7 +198,7 @@ def numbered_lines(path: Path, limits: Limits) -> Iterator[tuple[int, str]]:
 def json_of(path: Path, limits: Limits) -> dict[str, Any]:
     """A recording's JSON file as an object; UserError where it can't be read, or would take more memory parsed than
     the limit."""
-    try:
+    with refused("a log can't be read", path):
         text = read_text(path, min(limits.max_text_bytes, limits.max_parsed_bytes // 4))
         if (needed := parsed_bytes(text)) > limits.max_parsed_bytes:
             raise BadRow(
@@ -197,8 +206,6 @@ def json_of(path: Path, limits: Limits) -> dict[str, Any]:
                 f"{limits.max_parsed_bytes >> 20} MiB"
             )
         return parse_json(text)
-    except BadRow as error:
-        raise _unreadable(path, error) from None
 
 
 def parsed_bytes(text: str) -> int:

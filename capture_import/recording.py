@@ -103,12 +103,10 @@ def _log_curve(
     if not len(values):
         return
     stream.log(at, rr.SeriesLines(names=at.rpartition("/")[2], colors=colour), static=True)
-    is_time = timeline == TIMELINE
-    times = (
-        rr.TimeColumn(timeline, duration=values_at.astype("timedelta64[ns]"))
-        if is_time
-        else rr.TimeColumn(timeline, sequence=values_at)
-    )
+    if timeline == TIMELINE:
+        times = rr.TimeColumn(timeline, duration=values_at.astype("timedelta64[ns]"))
+    else:
+        times = rr.TimeColumn(timeline, sequence=values_at)
     stream.send_columns(at, indexes=[times], columns=rr.Scalars.columns(scalars=values))
 
 
@@ -116,8 +114,7 @@ def _log_frusta(stream: rr.RecordingStream, at: str, session: Session, frames: p
     """The frames' cameras as wire frames, each labelled with the frame's number."""
     if frames.empty:
         return
-    pose_of = {session.frame_id(image.number): image.vio_T_cam for image in session.images}
-    cameras = np.array([pose_of[name] for name in frames["frame_id"]], dtype=float)
+    cameras = session.poses_at(frames["frame_id"])
     k = frames[["fx", "fy", "cx", "cy"]].to_numpy()[:, None]
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * frames[["width", "height"]].to_numpy()[:, None]
     rays = np.concatenate([(corners - k[..., 2:]) / k[..., :2], np.ones((len(frames), 4, 1))], axis=-1) * depth_m

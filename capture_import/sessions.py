@@ -101,11 +101,10 @@ def _by_camera(recording: Recording, frames: list[RawFrame], rejects: list[Rejec
         recording = replace(recording, notes=[*recording.notes, note])
     return [
         Session(
-            recording.recording_id + (f".{'part' if part else 'camera'}{place + 1}" if place else ""),
-            recording,
-            own,
-            [],
-            [] if place else rejects,
+            session_id=recording.recording_id + (f".{'part' if part else 'camera'}{place + 1}" if place else ""),
+            recording=recording,
+            frames=own,
+            rejects=() if place else rejects,
         )
         for place, ((_, part), own) in enumerate((of_session or {("", 0): []}).items())
     ]
@@ -270,7 +269,7 @@ def _beyond_context(rate_N3: Array, dt: Array) -> Array:
 def far_origin(sessions: Sequence[Session]) -> Array | None:
     """The origin (3,) to take off the positions of all references, in their unit and axes; None where these are near
     enough to theirs. Round to a power of ten of about the extent."""
-    positions = [s.poses[:, :3, 3] for s in sessions if s.frames and s.has_poses and not s.has_vio]
+    positions = [s.poses[:, :3, 3] for s in sessions if s.frames and s.has_reference]
     if not positions:
         return None
     xyz = np.concatenate(positions)
@@ -283,7 +282,7 @@ def far_origin(sessions: Sequence[Session]) -> Array | None:
 
 def moved(session: Session, origin: Array) -> Session:
     """The session with poses from another origin, where they are a reference."""
-    if session.has_vio or not session.has_poses:
+    if not session.has_reference:
         return session
 
     def of(frame: RawFrame) -> RawFrame:

@@ -77,12 +77,10 @@ def frames_table(
 
 def reference_table(session: Session, frames: pd.DataFrame) -> pd.DataFrame:
     """Rows of `reference` for a session's rows of `frames`: none where the poses are the phone's, or there are none."""
-    if session.has_vio or not session.has_poses:
+    if not session.has_reference:
         frames = frames.iloc[:0]
-    pose_of = {session.frame_id(image.number): image.vio_T_cam for image in session.images}
-    poses = np.array([pose_of[name] for name in frames["frame_id"]], dtype=float).reshape(-1, 4, 4)
     keys = frames[["frame_id", "session_id", "t_ns"]].reset_index(drop=True)
-    return pd.concat([keys, pose_frame("map_cam", poses)], axis=1)
+    return pd.concat([keys, pose_frame("map_cam", session.poses_at(frames["frame_id"]))], axis=1)
 
 
 def sessions_table(
@@ -99,8 +97,9 @@ def sessions_table(
         used, recording = frames[session.session_id], session.recording
         dataset = dataset_frames(used)
         unit = LengthUnit.METRE if reference_is_metric or recording.is_metric else LengthUnit.UNKNOWN
-        reference_origin = [0.0] * 3 if origin is None else origin.tolist()
-        is_reference = session.has_poses and not session.has_vio
+        reference_origin = [math.nan] * 3
+        if session.has_reference:
+            reference_origin = [0.0] * 3 if origin is None else origin.tolist()
         splits = {SessionSplit.TRAIN if split == Split.VAL else SessionSplit(split) for split in dataset["split"]}
         split = SessionSplit.UNUSED if not splits else splits.pop() if len(splits) == 1 else SessionSplit.MIXED
         rows.append(
@@ -118,8 +117,8 @@ def sessions_table(
                 "support_frames": len(used) - len(dataset),
                 "split": split,
                 "pose_source": recording.pose_source,
-                "reference_unit": unit if is_reference else None,
-                **dict(zip(_ORIGIN, reference_origin if is_reference else [math.nan] * 3, strict=True)),
+                "reference_unit": unit if session.has_reference else None,
+                **dict(zip(_ORIGIN, reference_origin, strict=True)),
                 "up": UpAxis.Y if recording.is_gravity_aligned else UpAxis.UNKNOWN,
                 "up_source": recording.up_source,
             }

@@ -1,5 +1,5 @@
-"""COLMAP: `sparse/0` with cameras, images and points in the map, `images/`, and lists of image names by split; and the
-layouts of hloc and kapture, which have COLMAP's cameras.
+"""COLMAP: `sparse/0` with cameras, images and points in the map, `images/`, and lists of image names by split; and what
+hloc's scripts take.
 
 Format: https://colmap.github.io/format.html (world-to-camera poses, quaternions w first in text; pixel centres at 0.5,
 as ours). The world is the map: metric, +y up. Each of SfM's models without a common view with the others has a separate
@@ -11,12 +11,12 @@ from the images' features; where images are undistorted, observations are, too.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from urllib.parse import quote, unquote
+from urllib.parse import unquote
 
 import numpy as np
 import pycolmap
 
-from groundwalk.export.dataset import Dataset, Images, SfmModel, number
+from groundwalk.export.dataset import Dataset, Images, SfmModel, numbers, write_lines
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import inverse, tq_from_pose
 from groundwalk.store import UserError
@@ -24,7 +24,6 @@ from groundwalk.store.hints import setting_of
 
 # Of OpenCV's coefficients, in its order, as in FULL_OPENCV.
 DISTORTION = 8
-_VERSION = "# kapture format: 1.1"
 
 
 def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool = False) -> list[str]:
@@ -39,8 +38,7 @@ def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool =
         _, _, geodetic = dataset.georeference.places(dataset.map_T_cam[:, :3, 3])
         # A place without altitude is on the ellipsoid to COLMAP.
         rows = zip(names, np.nan_to_num(geodetic), strict=True)
-        lines = [" ".join([name, *map(number, place)]) + "\n" for name, place in rows]
-        (folder / "geo_registration.txt").write_text("".join(lines), encoding="utf-8")
+        write_lines(folder / "geo_registration.txt", [f"{name} {numbers(*place)}" for name, place in rows])
     return place_images(dataset, folder, names, images)
 
 
@@ -48,9 +46,7 @@ def write_splits(dataset: Dataset, folder: Path, names: Sequence[str]) -> None:
     """Write the names of each split's images, "" being none."""
     for split in ("train", "val", "test"):
         named = zip(names, dataset.frames["split"], strict=True)
-        (folder / f"{split}.txt").write_text(
-            "".join(f"{name}\n" for name, of in named if name and of == split), encoding="utf-8"
-        )
+        write_lines(folder / f"{split}.txt", [name for name, of in named if name and of == split])
 
 
 def place_images(dataset: Dataset, folder: Path, names: Sequence[str], images: Images) -> list[str]:
@@ -80,8 +76,7 @@ def model_in_map(dataset: Dataset, sfm_model: SfmModel, names: Sequence[str]) ->
         )
     for frame_id in by_frame.keys() - set(sfm_model.frame_ids):
         found.deregister_frame(by_frame[frame_id].frame_id)
-    row_of = {frame_id: row for row, frame_id in enumerate(dataset.frames["frame_id"])}
-    rows = [row_of[frame_id] for frame_id in sfm_model.frame_ids]
+    rows = dataset.rows_of(sfm_model.frame_ids)
     listed = [by_frame[frame_id] for frame_id in sfm_model.frame_ids]
     model, ids = pycolmap.Reconstruction(), dict[tuple[str, Camera], int]()
     cameras, devices = dataset.cameras, dataset.devices
@@ -128,12 +123,6 @@ def colmap_camera(camera: Camera) -> tuple[str, list[float]]:
     return model, [camera.fx, camera.fy, camera.cx, camera.cy, *lens, *[0.0] * (count - len(lens))]
 
 
-def camera_fields(camera: Camera) -> list[str]:
-    """COLMAP's model, size and parameters, as text."""
-    model, parameters = colmap_camera(camera)
-    return [model, str(camera.width), str(camera.height), *map(number, parameters)]
-
-
 def write_hloc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
     """What hloc's scripts of localising take: in `reference/` the model of the frames that aren't for testing,
     `queries_with_intrinsics.txt` of test images, and `queries_poses.txt`, as its results have them. Returns the frames'
@@ -154,52 +143,16 @@ def write_hloc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
         )
     names = dataset.image_names
     write_model(model_in_map(dataset, replace(largest, frame_ids=reference), names), folder / "reference")
-    cameras, poses = list[str](), list[str]()
+    cameras, poses, all_cameras = list[str](), list[str](), dataset.cameras
     position, quaternion = tq_from_pose(inverse(dataset.map_T_cam))
-    all_cameras, row_of = dataset.cameras, {frame_id: row for row, frame_id in enumerate(dataset.frames["frame_id"])}
-    for row in (row_of[frame_id] for frame_id in queries):
-        cameras.append(" ".join([names[row], *camera_fields(all_cameras[row])]))
+    for row in dataset.rows_of(queries):
+        camera = all_cameras[row]
+        model, parameters = colmap_camera(camera)
+        cameras.append(f"{names[row]} {model} {camera.width} {camera.height} {numbers(*parameters)}")
         x, y, z, w = quaternion[row]
-        poses.append(" ".join([names[row], *map(number, (w, x, y, z, *position[row]))]))
-    for file, lines in (("queries_with_intrinsics.txt", cameras), ("queries_poses.txt", poses)):
-        (folder / file).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+        poses.append(f"{names[row]} {numbers(w, x, y, z, *position[row])}")
+    write_lines(folder / "queries_with_intrinsics.txt", cameras)
+    write_lines(folder / "queries_poses.txt", poses)
     of_largest = dataset.frames["frame_id"].isin(largest.frame_ids)
     listed = [name if is_in else "" for name, is_in in zip(names, of_largest, strict=True)]
     return place_images(dataset, folder, listed, images)
-
-
-def write_kapture(dataset: Dataset, folder: Path, images: Images) -> list[str]:
-    """kapture 1.1: `mapping/` and, of test frames, `query/`, each with `sensors/`, which has the images in
-    `records_data/`; returns the frames' image paths.
-
-    Format: https://github.com/naver/kapture/blob/main/kapture_format.adoc (world-to-camera poses, quaternion w first;
-    names without commas). A timestamp is a frame's row among those exported, as clocks of sessions have different
-    starts and kapture's are of 32 bits; `frames.csv` has the capture times.
-    """
-    frames, placed = dataset.frames, [""] * len(dataset.frames)
-    cameras, names = [", ".join(camera_fields(camera)) for camera in dataset.cameras], dataset.image_names
-    position, quaternion = tq_from_pose(inverse(dataset.map_T_cam))
-    for name, in_part in (("mapping", ~dataset.in_test), ("query", dataset.in_test)):
-        rows, sensors, poses, records = np.flatnonzero(in_part), dict[str, str](), list[str](), list[str]()
-        for row in rows:
-            session_id = frames["session_id"].iloc[row]
-            # Frames share a camera where focus and lens stayed the same.
-            device = sensors.setdefault(f"{session_id}\n{cameras[row]}", f"{quote(session_id, safe='')}-{len(sensors)}")
-            x, y, z, w = quaternion[row]
-            poses.append(", ".join([str(row), device, *map(number, (w, x, y, z, *position[row]))]))
-            records.append(f"{row}, {device}, {names[row]}")
-            placed[row] = f"{name}/sensors/records_data/{names[row]}"
-            dataset.images[row].place(folder / placed[row], images)
-        if not len(rows):
-            continue
-        listed = [f"{device}, , camera, {key.partition(chr(10))[2]}" for key, device in sensors.items()]
-        world = f"# world: the map, {dataset.world}"
-        for file, head, lines in (
-            ("sensors", ["# sensor_device_id, name, sensor_type, [sensor_params]+"], listed),
-            ("trajectories", [world, "# timestamp, device_id, qw, qx, qy, qz, tx, ty, tz"], poses),
-            ("records_camera", ["# timestamp, device_id, image_path"], records),
-        ):
-            path = folder / name / "sensors" / f"{file}.txt"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text("\n".join([_VERSION, *head, *lines]) + "\n", encoding="utf-8")
-    return placed

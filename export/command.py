@@ -17,7 +17,7 @@ from groundwalk.export.dataset import (
     Dataset,
     Images,
     load_dataset,
-    number,
+    numbers,
     with_georeference,
 )
 from groundwalk.export.dataset_card import people
@@ -193,7 +193,7 @@ def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[
     columns = ["frame_id", "session_id", "split", "t_ns", "clock", "quality", "reason"]
     frames = dataset.frames
     exported = frames[columns].assign(image=placed, **{n: frames[n] for n in ("width", "height", *CAMERA_COLUMNS[:4])})
-    exported["distortion"] = [" ".join(map(number, coefficients)) for coefficients in frames["distortion"]]
+    exported["distortion"] = [numbers(*coefficients) for coefficients in frames["distortion"]]
     listed = pd.concat([exported, dataset.excluded[columns].assign(image="")]).sort_values("frame_id")
     listed.astype({"width": "Int64", "height": "Int64"}).to_csv(folder / _FRAMES, index=False)
     if dataset.georeference is not None:

@@ -1,5 +1,6 @@
 """The exported data: the frames that have ground truth, with their images, and SfM's model brought into the map."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -73,13 +74,18 @@ class ImageSource:
             return self.file.suffix
         return ".png" if self.file.suffix.lower() == ".png" else ".jpg"
 
+    def existing(self) -> Path:
+        """Its file; UserError where that is gone."""
+        if not self.file.is_file():
+            raise UserError("an image is missing", where=self.file, do="import the scene again")
+        return self.file
+
     def place(self, target: Path, images: Images) -> None:
         """Link the image to `target`, or copy it without metadata; undistorted, or as the PNG that `target` asks for,
         it's written anew."""
         if images == "none":
             return
-        if not self.file.is_file():
-            raise UserError("an image is missing", where=self.file, do="import the scene again")
+        self.existing()
         target.parent.mkdir(parents=True, exist_ok=True)
         if self.undistorted is None and (target.suffix == self.file.suffix or target.suffix != ".png"):
             if images == "link":
@@ -139,6 +145,10 @@ class Dataset:
     def in_test(self) -> np.ndarray:
         """(N,) for formats that know training and test alone: validation frames are part of the training walks."""
         return (self.frames["split"] == "test").to_numpy()
+
+    def rows_of(self, frame_ids: Sequence[str]) -> list[int]:
+        """Rows of frames with these ids."""
+        return pd.Index(self.frames["frame_id"]).get_indexer(list(frame_ids)).tolist()
 
     def sequences(self) -> list[tuple[bool, np.ndarray]]:
         """(for testing, rows in order of time) of each sequence, for formats in which one is wholly for training or for
@@ -349,6 +359,11 @@ def read_finished(
     return folder, manifest
 
 
-def number(value: float) -> str:
-    """A number as text that reads back the same."""
-    return repr(float(value))
+def numbers(*values: float, separator: str = " ") -> str:
+    """Numbers as text that reads back the same."""
+    return separator.join(repr(float(value)) for value in values)
+
+
+def write_lines(file: Path, lines: Iterable[str]) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")

@@ -99,17 +99,11 @@ def write_huggingface(dataset: Dataset, folder: Path, images: Images) -> list[st
 
 def _shards(rows: NDArray[np.int64], images: Sequence[ImageSource]) -> list[NDArray[np.int64]]:
     """The rows in parts, in order, each of which takes 500 MB at most as Parquet unless a single image takes more."""
-    sizes = np.array([_size(images[row]) + _ROW_BYTES if images else _ROW_BYTES for row in rows])
+    sizes = np.array([_ROW_BYTES + (images[row].existing().stat().st_size if images else 0) for row in rows])
     before = np.cumsum(sizes) - sizes
     room = max(_MAX_SHARD_BYTES - sizes.max(), 1)
     _, starts = np.unique(before // room, return_index=True)
     return np.split(rows, starts[1:])
-
-
-def _size(source: ImageSource) -> int:
-    if not source.file.is_file():
-        raise UserError("an image is missing", where=source.file, do="import the scene again")
-    return source.file.stat().st_size
 
 
 def _encoded(source: ImageSource, frame_id: str) -> dict[str, bytes | str]:

@@ -10,13 +10,13 @@ from urllib.parse import quote
 
 import numpy as np
 
-from groundwalk.export.dataset import WORLD_T_MAP, Dataset, Images, number
+from groundwalk.export.dataset import WORLD_T_MAP, Dataset, Images, numbers, write_lines
 from groundwalk.geometry.cameras import Camera
-from groundwalk.geometry.poses import Array, inverse, quaternion_from_matrix, tq_from_pose
+from groundwalk.geometry.poses import inverse, quaternion_from_matrix, tq_from_pose
 from groundwalk.store import UserError
 
 _POSES = "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z []"
-_HEADER = "Visual Landmark Dataset V1\nImageFile, Camera Position [X Y Z W P Q R]\n\n"
+_HEADER = ("Visual Landmark Dataset V1", "ImageFile, Camera Position [X Y Z W P Q R]", "")
 
 
 def write_tum(dataset: Dataset, folder: Path, images: Images) -> list[str]:
@@ -37,12 +37,10 @@ def write_tum(dataset: Dataset, folder: Path, images: Images) -> list[str]:
             image = f"rgb/{seconds[row]}{dataset.images[row].suffix}"
             dataset.images[row].place(folder / name / image, images)
             placed[row] = f"{name}/{image}"
-            values = " ".join(number(v) for v in (*position[row], *quaternion[row]))
-            poses.append(f"{seconds[row]} {values}")
+            poses.append(f"{seconds[row]} {numbers(*position[row], *quaternion[row])}")
             listed.append(f"{seconds[row]} {image}")
-        (folder / name).mkdir(exist_ok=True)
-        for file, lines in (("groundtruth.txt", poses), ("rgb.txt", listed)):
-            (folder / name / file).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_lines(folder / name / "groundtruth.txt", poses)
+        write_lines(folder / name / "rgb.txt", listed)
     return placed
 
 
@@ -67,31 +65,32 @@ def write_euroc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
                 do="export as splat or tum, or record the session with one lens, without zoom",
             )
         session = folder / quote(str(session_id), safe="") / "mav0"
-        (session / "cam0" / "data").mkdir(parents=True)
-        (session / "state_groundtruth_estimate0").mkdir()
         listed, poses = ["#timestamp [ns],filename"], [_POSES]
         for row in rows:
             t_ns = dataset.frames["t_ns"].iloc[row]
             x, y, z, w = quaternion[row]
             listed.append(f"{t_ns},{t_ns}.png")
-            poses.append(",".join([str(t_ns), *map(number, (*position[row], w, x, y, z))]))
+            poses.append(f"{t_ns},{numbers(*position[row], w, x, y, z, separator=',')}")
             image = session / "cam0" / "data" / f"{t_ns}.png"
             placed[row] = image.relative_to(folder).as_posix()
             dataset.images[row].place(image, images)
-        (session / "cam0" / "data.csv").write_text("\n".join(listed) + "\n", encoding="ascii")
-        (session / "cam0" / "sensor.yaml").write_text(_sensor(cameras[rows[0]]), encoding="ascii")
-        (session / "state_groundtruth_estimate0" / "data.csv").write_text("\n".join(poses) + "\n", encoding="ascii")
+        write_lines(session / "cam0" / "data.csv", listed)
+        write_lines(session / "cam0" / "sensor.yaml", _sensor(cameras[rows[0]]))
+        write_lines(session / "state_groundtruth_estimate0" / "data.csv", poses)
     return placed
 
 
-def _sensor(camera: Camera) -> str:
-    focal_and_centre = ", ".join(map(number, (camera.fx, camera.fy, camera.cx, camera.cy)))
-    return (
-        "sensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n"
-        f"  data: [{', '.join(map(number, np.eye(4).ravel()))}]\n"
-        f"resolution: [{camera.width}, {camera.height}]\ncamera_model: pinhole\nintrinsics: [{focal_and_centre}]\n"
-        "distortion_model: radial-tangential\ndistortion_coefficients: [0.0, 0.0, 0.0, 0.0]\n"
-    )
+def _sensor(camera: Camera) -> list[str]:
+    """Lines of `sensor.yaml`."""
+    return [
+        *("sensor_type: camera", "T_BS:", "  cols: 4", "  rows: 4"),
+        f"  data: [{numbers(*np.eye(4).ravel(), separator=', ')}]",
+        f"resolution: [{camera.width}, {camera.height}]",
+        "camera_model: pinhole",
+        f"intrinsics: [{numbers(camera.fx, camera.fy, camera.cx, camera.cy, separator=', ')}]",
+        "distortion_model: radial-tangential",
+        "distortion_coefficients: [0.0, 0.0, 0.0, 0.0]",
+    ]
 
 
 def write_seven_scenes(dataset: Dataset, folder: Path, images: Images) -> list[str]:
@@ -104,22 +103,17 @@ def write_seven_scenes(dataset: Dataset, folder: Path, images: Images) -> list[s
     cameras, placed = dataset.cameras, [""] * len(dataset.frames)
     splits: dict[bool, list[str]] = {False: [], True: []}
     for index, (test, rows) in enumerate(dataset.sequences(), start=1):
-        splits[test].append(f"sequence{index}\n")
+        splits[test].append(f"sequence{index}")
         sequence = folder / f"seq-{index:02d}"
-        sequence.mkdir()
         for count, row in enumerate(rows):
             stem = f"frame-{count:06d}"
-            (sequence / f"{stem}.pose.txt").write_text(_rows(dataset.map_T_cam[row]), encoding="ascii")
-            (sequence / f"{stem}.intrinsics.txt").write_text(_rows(cameras[row].matrix), encoding="ascii")
+            for kind, matrix in (("pose", dataset.map_T_cam[row]), ("intrinsics", cameras[row].matrix)):
+                write_lines(sequence / f"{stem}.{kind}.txt", [numbers(*values, separator="\t") for values in matrix])
             dataset.images[row].place(sequence / f"{stem}.color.png", images)
             placed[row] = f"{sequence.name}/{stem}.color.png"
-    for test, name in ((False, "TrainSplit.txt"), (True, "TestSplit.txt")):
-        (folder / name).write_text("".join(splits[test]), encoding="ascii")
+    write_lines(folder / "TrainSplit.txt", splits[False])
+    write_lines(folder / "TestSplit.txt", splits[True])
     return placed
-
-
-def _rows(matrix: Array) -> str:
-    return "".join("\t".join(number(v) for v in row) + "\n" for row in matrix)
 
 
 def write_cambridge(dataset: Dataset, folder: Path, images: Images) -> list[str]:
@@ -138,17 +132,13 @@ def write_cambridge(dataset: Dataset, folder: Path, images: Images) -> list[str]
         for count, row in enumerate(rows):
             placed[row] = f"seq{index}/frame{count:05d}{dataset.images[row].suffix}"
             dataset.images[row].place(folder / placed[row], images)
-            values = " ".join(number(v) for v in (*position[row], *quaternion[row]))
-            lists[test].append(f"{placed[row]} {values}\n")
-    for test, name in ((False, "dataset_train.txt"), (True, "dataset_test.txt")):
-        (folder / name).write_text(_HEADER + "".join(lists[test]), encoding="ascii")
+            lists[test].append(f"{placed[row]} {numbers(*position[row], *quaternion[row])}")
+    write_lines(folder / "dataset_train.txt", [*_HEADER, *lists[False]])
+    write_lines(folder / "dataset_test.txt", [*_HEADER, *lists[True]])
 
-    order = np.argsort(placed)
     focal = dataset.frames[["fx", "fy"]].to_numpy(float).mean(axis=1)
     cameras = [
-        " ".join([placed[row], *(number(v) for v in (focal[row], *quaternion[row], *position[row], 0.0)), "0"])
-        for row in order
+        f"{placed[row]} {numbers(focal[row], *quaternion[row], *position[row], 0.0)} 0" for row in np.argsort(placed)
     ]
-    nvm = "\n".join(["NVM_V3", "", str(len(cameras)), *cameras, "", "0", "", "0", ""])
-    (folder / "reconstruction.nvm").write_text(nvm, encoding="ascii")
+    write_lines(folder / "reconstruction.nvm", ["NVM_V3", "", str(len(cameras)), *cameras, "", "0", "", "0"])
     return placed

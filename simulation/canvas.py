@@ -1,7 +1,9 @@
 """A picture that is painted in metres: what every surface of a simulated place is textured with."""
 
+import functools
 import math
 from collections.abc import Callable, Sequence
+from typing import Concatenate, ParamSpec
 
 import cv2
 import numpy as np
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 Bgr = tuple[float, float, float]
 Field = NDArray[np.float32]
 Material = Callable[["Canvas"], None]  # paints a whole canvas
+Look = ParamSpec("Look")
 _FONTS = (
     cv2.FONT_HERSHEY_SIMPLEX,
     cv2.FONT_HERSHEY_DUPLEX,
@@ -141,6 +144,16 @@ class Canvas:
         columns = points[:, 0] / self.width_m * w - 0.5
         rows = (1 - points[:, 1] / self.height_m) * h - 0.5
         return np.round(np.stack([columns, rows], axis=1) * 16).astype(np.int32)
+
+
+def material(paint: Callable[Concatenate[Canvas, Look], None]) -> Callable[Look, Material]:
+    """A function that paints a canvas by further arguments, as one that takes these and returns the material."""
+
+    @functools.wraps(paint)
+    def of(*args: Look.args, **kwargs: Look.kwargs) -> Material:
+        return lambda c: paint(c, *args, **kwargs)
+
+    return of
 
 
 def _byte(colour: Bgr) -> NDArray[np.uint8]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from groundwalk.simulation.canvas import Bgr, Canvas, vary
+from groundwalk.simulation.canvas import Bgr, Canvas, material, vary
 
 # fmt: off
 _SYLLABLES = [
@@ -219,6 +219,7 @@ def books(c: Canvas, x: float, y: float, w: float, h: float) -> None:
         u += width
 
 
+@material
 def bookcase(c: Canvas, colour: Bgr, shelf_m: float = 0.36) -> None:
     c.fill(colour)
     y = 0.08

@@ -18,10 +18,10 @@ class Format(Entry):
     `files` are the names, relative to a recording's folder, by which it is known: all of them have to be there; `*` in
     one stands for any text, `a|b` for either, `/` at the end for a folder. Where `is_file`, a recording is one file of
     such a name instead. Where these names don't tell, `detect` says whether a folder or file is a recording, and
-    `looks_for` the same in words; `missing` says what a folder with some of `files` lacks, nothing where
-    that isn't known. `read` gets that folder or file and the limits; it raises UserError where the
-    recording as a whole can't be read. `yields_to` names formats that are read instead where they fit, too, as they
-    say more of the same images. `is_images_alone`: it has no poses, and is looked for where a capture holds nothing
+    `looks_for` the same in words; `missing` says what a folder with some of `files` lacks, nothing where that isn't
+    known. `read` gets that folder or file and the limits; it raises UserError where the recording as a whole can't be
+    read. `yields_to` names formats that are read instead where they fit, too, as they say more of the same images;
+    `yields_to_all`: all others are. `is_images_alone`: it has no poses, and is looked for where a capture holds nothing
     else that could, or where it's named.
     """
 
@@ -35,6 +35,7 @@ class Format(Entry):
     missing: Callable[[Path], str] | None = field(default=None, repr=False)
     looks_for: str = ""
     yields_to: tuple[str, ...] = ()
+    yields_to_all: bool = False
 
     def faults(self) -> Iterable[str]:
         yield from super().faults()

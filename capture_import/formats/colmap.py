@@ -184,9 +184,8 @@ def read(path: Path, limits: Limits) -> Recording:
     except parsing.BadRow as error:
         raise UserError("an image of the model leads elsewhere", where=folder, found=error) from None
     test_list = folder / "test.txt"  # our exports write it
-    tested = (
-        {data_set.images / line for _, line in parsing.lines_of(test_list, limits)} if test_list.is_file() else set()
-    )
+    listed = parsing.lines_of(test_list, limits) if test_list.is_file() else []
+    tested = {data_set.images / line for _, line in listed}
 
     def read_row(_: Path, row: tuple[_Image, _Camera | None]) -> tuple[Array, Intrinsics]:
         image, camera = row

@@ -12,7 +12,6 @@ from pathlib import Path
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
-from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, PoseSource
 
 _TRUTH = ("mav0/state_groundtruth_estimate0/data.csv", "mav0/mocap0/data.csv")
@@ -20,12 +19,10 @@ _TRUTH = ("mav0/state_groundtruth_estimate0/data.csv", "mav0/mocap0/data.csv")
 
 def read(path: Path, limits: Limits) -> Recording:
     camera = path / "mav0" / "cam0"
-    try:
+    with parsing.refused("the camera can't be read", camera / "sensor.yaml"):
         text = parsing.read_text(camera / "sensor.yaml")
         body_T_cam = parsing.row_major_pose(parsing.yaml_numbers(text, "T_BS", 16))
         intrinsics = _intrinsics(text)
-    except parsing.BadRow as error:
-        raise UserError("the camera can't be read", where=camera / "sensor.yaml", found=error) from None
 
     def read_pose(place: int, line: str) -> RawFrame:
         t_ns, x, y, z, qw, qx, qy, qz, *_ = (*parsing.split_numbers(line, separator=","), *[float("nan")] * 8)

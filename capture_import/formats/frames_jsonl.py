@@ -30,9 +30,9 @@ def read(path: Path, limits: Limits) -> Recording:
         tracking = row.get("tracking", Tracking.UNKNOWN)
         if tracking not in [*Tracking]:
             raise parsing.BadRow(f"tracking is none of {', '.join(Tracking)}")
-        pose = (
-            parsing.row_major_pose(parsing.numbers(row, "vio_T_cam", 16)) if row.get("vio_T_cam") is not None else None
-        )
+        pose = None
+        if row.get("vio_T_cam") is not None:
+            pose = parsing.row_major_pose(parsing.numbers(row, "vio_T_cam", 16))
         image, depth, confidence = (
             parsing.inside(path, row[key]) if row.get(key) is not None else None
             for key in ("image", "depth", "depth_confidence")

@@ -13,10 +13,11 @@ import numpy as np
 
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import.data_sets import reference
 from groundwalk.capture_import.formats import Format
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store import UserError
-from groundwalk.store.choices import Clock, PoseSource
+from groundwalk.store.choices import Clock
 
 _FOLDERS = ("image_2", "image_0")
 
@@ -53,8 +54,7 @@ def read(path: Path, limits: Limits) -> Recording:
         )
 
     frames, rejects = parsing.read_rows(parsing.lines_of(_poses_of(path), limits), read_row)
-    reference = PoseSource.REFERENCE
-    return Recording("KITTI", Clock.VIDEO, path, frames, rejects, reference, is_gravity_aligned=False)
+    return reference("KITTI", Clock.VIDEO, path, frames, rejects)
 
 
 def _camera(file: Path, name: str, limits: Limits) -> tuple[Intrinsics, Array]:

@@ -187,15 +187,11 @@ def _undo(content: dict[str, Any], file: Path) -> Array:
     """World of the poses before `applied_transform`, from the file's world (4, 4)."""
     if content.get("applied_transform") is None:
         return np.eye(4)
-    try:
+    with parsing.refused("the world of transforms.json isn't known", file, expected="a rigid 3x4 matrix"):
         applied = parsing.row_major_pose(parsing.numbers(content, "applied_transform", 12))
         if not rigidity_error(applied) < _RIGID_TOLERANCE:
             raise parsing.BadRow("applied_transform isn't rigid")
-    except parsing.BadRow as error:
-        raise UserError(
-            "the world of transforms.json isn't known", where=file, found=error, expected="a rigid 3x4 matrix"
-        ) from None
-    return inverse(applied)
+        return inverse(applied)
 
 
 def _intrinsics(row: dict[str, Any], image: Path) -> Intrinsics:

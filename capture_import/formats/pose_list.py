@@ -12,13 +12,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from groundwalk.capture_import import parsing
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording, Reject
-from groundwalk.capture_import.data_sets import guessed_intrinsics, size_of
+from groundwalk.capture_import.capture import ImageFile, Limits, RawFrame, Recording
+from groundwalk.capture_import.data_sets import guessed_intrinsics, reference, size_of
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.formats.tum import camera_beside
 from groundwalk.geometry.poses import Array
 from groundwalk.store import UserError
-from groundwalk.store.choices import Clock, PoseSource
+from groundwalk.store.choices import Clock
 
 _LIST = re.compile(r".*(traj|pose|groundtruth|ground_truth).*\.txt|.*\.tum", re.IGNORECASE)
 _FOLDERS = ("images", "rgb", "frames", "color", "photos", "input", ".")
@@ -75,6 +75,7 @@ def read(path: Path, limits: Limits) -> Recording:
         raise UserError("a list of poses is empty", where=file, do="take it away to read the images without poses")
     images, camera = _images(path), camera_beside(path)
     notes = [f"not read, as {file.name} has more poses: {other.name}" for other in lists if other != file]
+    stated = {"has_intrinsics": camera is not None, "notes": notes}
 
     def frame_of(seconds: float, image: Path, pose: Array | None = None) -> RawFrame:
         size = size_of(image)
@@ -84,7 +85,8 @@ def read(path: Path, limits: Limits) -> Recording:
         poses, rejects = parsing.read_rows(rows, lambda _, line: RawFrame(*_timed_pose(line)))
         named = [(image.name, (image, seconds)) for image, seconds in zip(images, timed, strict=True)]
         of_images, more = parsing.read_rows(named, lambda _, row: frame_of(row[1], row[0]))
-        return _recording(path, Clock.UNIX, parsing.join_by_time(poses, of_images), [*rejects, *more], camera, notes)
+        frames = parsing.join_by_time(poses, of_images)
+        return reference("unknown", Clock.UNIX, path, frames, [*rejects, *more], **stated)
 
     if kind != _NAME and len(rows) != len(images):
         raise UserError(
@@ -107,7 +109,7 @@ def read(path: Path, limits: Limits) -> Recording:
         return frame_of(place, image, parsing.quaternion_pose(values[:3], values[3:]))
 
     frames, rejects = parsing.read_rows(rows, read_row)
-    return _recording(path, Clock.NAME_ORDER, frames, rejects, camera, notes)
+    return reference("unknown", Clock.NAME_ORDER, path, frames, rejects, **stated)
 
 
 def _timed_pose(line: str) -> tuple[int, Array]:
@@ -135,22 +137,6 @@ def _times(images: Sequence[Path], rows: Sequence[tuple[str, str]]) -> list[floa
     return [unit * float(stem) for stem in stems] if inside(unit) else None
 
 
-def _recording(
-    path: Path, clock: Clock, frames: list[RawFrame], rejects: list[Reject], camera: Intrinsics | None, notes: list[str]
-) -> Recording:
-    return Recording(
-        "unknown",
-        clock,
-        path,
-        frames,
-        rejects,
-        pose_source=PoseSource.REFERENCE,
-        is_gravity_aligned=False,
-        has_intrinsics=camera is not None,
-        notes=notes,
-    )
-
-
 FORMAT = Format(
     id="pose_list",
     label="images with a list of poses",
@@ -159,9 +145,5 @@ FORMAT = Format(
     looks_for="images beside a list of poses: rows of TUM, KITTI, or image name, position, quaternion",
     detect=detect,
     read=read,
-    yields_to=(
-        "tum", "kitti", "euroc", "scan_capture", "ios_logger", "rtabmap", "colmap", "nerfstudio", "cambridge",
-        "seven_scenes", "arkit_scenes", "stray_scanner", "frames_jsonl", "3d_scanner_app", "polycam", "record3d",
-        "spectacular_ai", "nerf_capture", "llff",
-    ),
-)  # fmt: skip
+    yields_to_all=True,
+)

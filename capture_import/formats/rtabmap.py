@@ -10,8 +10,9 @@ from pathlib import Path
 
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
+from groundwalk.capture_import.data_sets import reference
 from groundwalk.capture_import.formats import Format
-from groundwalk.store.choices import Clock, PoseSource
+from groundwalk.store.choices import Clock
 
 _POSES = "_camera_poses.txt"
 
@@ -36,8 +37,7 @@ def read(path: Path, limits: Limits) -> Recording:
         )
 
     frames, rejects = parsing.read_rows(parsing.lines_of(poses, limits), read_row)
-    reference = PoseSource.REFERENCE
-    return Recording("RTAB-Map", Clock.UNIX, path, frames, rejects, reference, is_gravity_aligned=False)
+    return reference("RTAB-Map", Clock.UNIX, path, frames, rejects)
 
 
 def _camera(file: Path) -> Intrinsics:

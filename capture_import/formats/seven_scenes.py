@@ -11,9 +11,9 @@ from pathlib import Path
 
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
-from groundwalk.capture_import.data_sets import NO_DISTORTION, export_world
+from groundwalk.capture_import.data_sets import NO_DISTORTION, export_world, reference
 from groundwalk.capture_import.formats import Format
-from groundwalk.store.choices import Clock, PoseSource, SessionSplit
+from groundwalk.store.choices import Clock, SessionSplit
 
 _POSE = re.compile(r"frame-(\d{6})\.pose\.txt")
 _FRAMES_A_SECOND = 30.0
@@ -44,17 +44,8 @@ def read(path: Path, limits: Limits) -> Recording:
         )
     if any(frame.intrinsics is _CAMERA for frame in frames):
         notes.append("nominal intrinsics: the colour camera wasn't calibrated")
-    return Recording(
-        "Kinect",
-        Clock.NAME_ORDER if ours else Clock.FRAME_INDEX,
-        path,
-        frames,
-        rejects,
-        pose_source=PoseSource.REFERENCE,
-        is_gravity_aligned=False,
-        split=split,
-        notes=notes,
-    )
+    clock = Clock.NAME_ORDER if ours else Clock.FRAME_INDEX
+    return reference("Kinect", clock, path, frames, rejects, split=split, notes=notes)
 
 
 def _camera(file: Path, distortion: tuple[float, ...]) -> Intrinsics:

@@ -14,7 +14,6 @@ from groundwalk.capture_import.capture import Limits, RawFrame, Recording, Video
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.media.video import check_join
 from groundwalk.geometry.poses import Array, inverse, rigidity_error
-from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, Tracking
 
 _STATES = {"TRACKING": Tracking.NORMAL, "INIT": Tracking.LIMITED, "LOST_TRACKING": Tracking.LOST}
@@ -53,15 +52,13 @@ def read(path: Path, limits: Limits) -> Recording:
 
 def _device_T_cam(calibration: Path, limits: Limits) -> Array:
     cameras = parsing.json_of(calibration, limits).get("cameras")
-    try:
+    with parsing.refused("the calibration can't be read", calibration):
         if not isinstance(cameras, list) or not cameras:
             raise parsing.BadRow("cameras is missing")
         cam_T_device = parsing.row_major_pose(parsing.numbers(cameras[0], "imuToCamera", 16))
         if not rigidity_error(cam_T_device) < 1e-2:
             raise parsing.BadRow("imuToCamera isn't rigid")
         return inverse(cam_T_device)
-    except parsing.BadRow as error:
-        raise UserError("the calibration can't be read", where=calibration, found=error) from None
 
 
 def _read_image(video: Path, index: int, line: str) -> RawFrame:

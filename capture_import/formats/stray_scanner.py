@@ -54,12 +54,10 @@ def read(path: Path, limits: Limits) -> Recording:
 
 
 def _camera_matrix(file: Path) -> Intrinsics:
-    try:
+    with parsing.refused("the camera matrix can't be read", file, expected="3 rows of 3"):
         text = parsing.read_text(file).strip().replace("\n", ",")
         fx, _, cx, _, fy, cy, *_ = parsing.split_numbers(text, separator=",")
-    except ValueError as error:
-        raise UserError("the camera matrix can't be read", where=file, expected="3 rows of 3", found=error) from None
-    return Intrinsics(fx, fy, cx, cy)
+        return Intrinsics(fx, fy, cx, cy)
 
 
 FORMAT = Format(

@@ -10,10 +10,9 @@ from pathlib import Path
 
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, Recording
-from groundwalk.capture_import.data_sets import guessed_intrinsics, size_of
+from groundwalk.capture_import.data_sets import guessed_intrinsics, reference, size_of
 from groundwalk.capture_import.formats import Format
-from groundwalk.store import UserError
-from groundwalk.store.choices import Clock, PoseSource
+from groundwalk.store.choices import Clock
 
 _DEPTH_UNITS_PER_M = 5000
 _DEPTH_WITHIN_NS = 20_000_000
@@ -43,16 +42,8 @@ def read(path: Path, limits: Limits) -> Recording:
     depths, no_depths = parsing.read_rows(parsing.lines_of(of_depth, limits) if of_depth.is_file() else [], read_depth)
     depths.sort(key=lambda depth: depth.t_ns)
     images, no_images = parsing.read_rows(parsing.lines_of(path / "rgb.txt", limits), read_image)
-    return Recording(
-        "unknown",
-        Clock.UNIX,
-        path,
-        parsing.join_by_time(poses, images),
-        [*rejects, *no_depths, *no_images],
-        pose_source=PoseSource.REFERENCE,
-        is_gravity_aligned=False,
-        has_intrinsics=camera is not None,
-    )
+    frames, rejects = parsing.join_by_time(poses, images), [*rejects, *no_depths, *no_images]
+    return reference("unknown", Clock.UNIX, path, frames, rejects, has_intrinsics=camera is not None)
 
 
 def _read_pose(_: int, line: str) -> RawFrame:
@@ -68,11 +59,9 @@ def camera_beside(folder: Path) -> Intrinsics | None:
     file = folder / "camera.txt"
     if not file.is_file():
         return None
-    try:
+    with parsing.refused("the camera can't be read", file, expected="fx fy cx cy"):
         fx, fy, cx, cy, *distortion = parsing.split_numbers(parsing.read_text(file))
-    except ValueError as error:
-        raise UserError("the camera can't be read", where=file, expected="fx fy cx cy", found=error) from None
-    return Intrinsics(fx, fy, cx, cy, distortion=tuple(distortion))
+        return Intrinsics(fx, fy, cx, cy, distortion=tuple(distortion))
 
 
 FORMAT = Format(

@@ -51,10 +51,8 @@ def unpack(archive: Path, target: Path, limits: Limits) -> None:
             members = content.infolist()
             if len(members) > limits.max_archive_files:
                 raise _refused(archive, f"more than {limits.max_archive_files} files")
-            needed, free = (
-                sum(member.file_size for member in members) + _MIN_FREE_BYTES,
-                shutil.disk_usage(partial).free,
-            )
+            needed = sum(member.file_size for member in members) + _MIN_FREE_BYTES
+            free = shutil.disk_usage(partial).free
             if needed > free:
                 raise MachineError(
                     f"too little free space to unpack an archive into {partial}",

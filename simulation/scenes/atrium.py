@@ -1,7 +1,7 @@
 """Atrium: a high hall with columns, galleries, a reception, plants and glass, 30 by 50 m."""
 
 from groundwalk.simulation import details, materials
-from groundwalk.simulation.canvas import Canvas, Material
+from groundwalk.simulation.canvas import Canvas, Material, material
 from groundwalk.simulation.place import Light, Place
 from groundwalk.simulation.scenes import indoor_parts as parts
 from groundwalk.simulation.scenes.builder import Builder
@@ -56,55 +56,51 @@ def _ceiling(c: Canvas) -> None:
         c.box(x, 0, x + 0.35, c.height_m, (90, 70, 60))
 
 
-def _shopfront(material: Material) -> Material:
+@material
+def _shopfront(c: Canvas, base: Material) -> None:
     """A storey of doors, posters, boards and windows to rooms behind."""
 
-    def paint(c: Canvas) -> None:
-        material(c)
-        u = 0.4
-        while u < c.width_m - 2.2:
-            kind = c.rng.integers(5)
-            if kind == 0:
-                details.door(c, u, 1.0, 2.2, details.bright(c.rng))
-                u += 1.6
-            elif kind == 1:
-                details.window(c, u, 0.9, 1.7, 1.6, (90, 96, 100))
-                u += 2.2
-            elif kind == 2:
-                details.picture(c, u, 1.0, 1.4, 1.1)
-                u += 1.9
-            elif kind == 3:
-                for k in range(3):
-                    details.notice(c, u + 0.38 * k, c.rng.uniform(1.1, 1.5), 0.3, 0.42)
-                u += 1.6
-            else:
-                details.poster(c, u, 0.8, 0.95, 1.4)
-                u += 1.4
-        for k in range(max(1, int(c.width_m / 6))):
-            details.shop_sign(c, 0.5 + 6 * k, 2.75, min(4.0, c.width_m - 1), 0.6)
-        c.box(0, 0, c.width_m, 0.12, (60, 64, 68))
-        c.add(c.noise((0.04, 0.15, 0.6)), (4, 4, 4))
-
-    return paint
+    base(c)
+    u = 0.4
+    while u < c.width_m - 2.2:
+        kind = c.rng.integers(5)
+        if kind == 0:
+            details.door(c, u, 1.0, 2.2, details.bright(c.rng))
+            u += 1.6
+        elif kind == 1:
+            details.window(c, u, 0.9, 1.7, 1.6, (90, 96, 100))
+            u += 2.2
+        elif kind == 2:
+            details.picture(c, u, 1.0, 1.4, 1.1)
+            u += 1.9
+        elif kind == 3:
+            for k in range(3):
+                details.notice(c, u + 0.38 * k, c.rng.uniform(1.1, 1.5), 0.3, 0.42)
+            u += 1.6
+        else:
+            details.poster(c, u, 0.8, 0.95, 1.4)
+            u += 1.4
+    for k in range(max(1, int(c.width_m / 6))):
+        details.shop_sign(c, 0.5 + 6 * k, 2.75, min(4.0, c.width_m - 1), 0.6)
+    c.box(0, 0, c.width_m, 0.12, (60, 64, 68))
+    c.add(c.noise((0.04, 0.15, 0.6)), (4, 4, 4))
 
 
-def _end_wall(material: Material) -> Material:
-    def paint(c: Canvas) -> None:
-        material(c)
-        for k in range(5):
-            details.picture(c, 1.2 + 5.8 * k, 4.6, 4.2, 3.0)
-        for k in range(7):
-            x = 0.8 + 4.1 * k
-            if k % 2:
-                details.door(c, x, 1.6, 2.4, details.bright(c.rng))
-            else:
-                details.poster(c, x, 0.8, 1.6, 2.1)
-        details.shop_sign(c, 8, 8.6, 14, 1.5)
-        for _ in range(12):
-            details.notice(c, c.rng.uniform(0.5, c.width_m - 1), c.rng.uniform(1.0, 1.8), 0.4, 0.55)
-        c.add(c.noise((0.05, 0.2, 0.8)), (6, 6, 6))
-
-    return paint
+@material
+def _end_wall(c: Canvas, base: Material) -> None:
+    base(c)
+    for k in range(5):
+        details.picture(c, 1.2 + 5.8 * k, 4.6, 4.2, 3.0)
+    for k in range(7):
+        x = 0.8 + 4.1 * k
+        if k % 2:
+            details.door(c, x, 1.6, 2.4, details.bright(c.rng))
+        else:
+            details.poster(c, x, 0.8, 1.6, 2.1)
+    details.shop_sign(c, 8, 8.6, 14, 1.5)
+    for _ in range(12):
+        details.notice(c, c.rng.uniform(0.5, c.width_m - 1), c.rng.uniform(1.0, 1.8), 0.4, 0.55)
+    c.add(c.noise((0.05, 0.2, 0.8)), (6, 6, 6))
 
 
 def _long_wall(b: Builder, name: str, x: float, z: float, towards_east: bool) -> None:

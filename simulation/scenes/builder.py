@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.simulation.canvas import Bgr, Canvas, Material
+from groundwalk.simulation.canvas import Bgr, Canvas, Material, material
 from groundwalk.simulation.materials import foliage, plain, wood
 from groundwalk.simulation.place import UP, Crown, Light, Obstacle, Place, Quad, Vec, Xz
 
@@ -159,15 +159,13 @@ class Builder:
         self.box(f"{name}.light", centre, (0.35, 0.5, 0.35), plain((190, 220, 225)), bottom=height, solid=False)
 
 
-def _stickered(colour: Bgr) -> Material:
-    def paint(c: Canvas) -> None:
-        plain(colour)(c)
-        for _ in range(4):
-            y = c.rng.uniform(0.7, min(2.2, c.height_m - 0.2))
-            blue, green, red = c.rng.uniform(60, 250, 3)
-            c.box(0, y, c.width_m, y + c.rng.uniform(0.05, 0.12), (blue, green, red))
-
-    return paint
+@material
+def _stickered(c: Canvas, colour: Bgr) -> None:
+    plain(colour)(c)
+    for _ in range(4):
+        y = c.rng.uniform(0.7, min(2.2, c.height_m - 0.2))
+        blue, green, red = c.rng.uniform(60, 250, 3)
+        c.box(0, y, c.width_m, y + c.rng.uniform(0.05, 0.12), (blue, green, red))
 
 
 def _icosphere(levels: int) -> tuple[Vec, NDArray[np.int64]]:

@@ -47,11 +47,8 @@ class Hung:
 def bookcase(b: Builder, name: str, centre: Xz, width: float, yaw_deg: float, height: float = 2.1) -> None:
     """A shelf full of books; its front looks along +z before it is turned."""
     tone: Bgr = ((70, 104, 140), (50, 60, 70), (190, 200, 206))[b.rng.integers(3)]
-
-    def front(c: Canvas) -> None:
-        details.bookcase(c, tone)
-
-    b.box(name, centre, (width, height, 0.35), materials.wood(tone, 0.3), front=front, yaw_deg=yaw_deg)
+    side, front = materials.wood(tone, 0.3), details.bookcase(tone)
+    b.box(name, centre, (width, height, 0.35), side, front=front, yaw_deg=yaw_deg)
 
 
 def desk(b: Builder, name: str, centre: Xz, yaw_deg: float, width: float = 1.4) -> None:

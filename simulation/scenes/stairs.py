@@ -1,7 +1,7 @@
 """Stairs: two flights with landings around a glass screen, 5.5 by 4.5 m and 6 m high."""
 
 from groundwalk.simulation import details, materials
-from groundwalk.simulation.canvas import Canvas, Material
+from groundwalk.simulation.canvas import Canvas, Material, material
 from groundwalk.simulation.place import Light, Place
 from groundwalk.simulation.scenes import indoor_parts as parts
 from groundwalk.simulation.scenes.builder import Builder
@@ -52,20 +52,18 @@ def _walls(b: Builder, x: float, z: float) -> None:
         b.wall(f"{name}.high", left, right, 3, HEIGHT_M, _wall(high))
 
 
-def _wall(material: Material) -> Material:
-    def paint(c: Canvas) -> None:
-        Hung(material, 0.5, 0.9, 0.6).paint(c)
-        for _ in range(14):
-            details.notice(c, c.rng.uniform(0.1, c.width_m - 0.4), c.rng.uniform(0.3, 2.5), 0.2, 0.27)
-        for _ in range(4):
-            x, y = c.rng.uniform(0.1, c.width_m - 0.9), c.rng.uniform(1.7, 2.2)
-            (details.picture, details.poster)[c.rng.integers(2)](c, x, y, 0.65, 0.6)
-        x = c.rng.uniform(0.2, c.width_m - 1.2)
-        c.box(x, 2.35, x + 0.9, 2.6, (90, 150, 40))
-        c.text(x + 0.05, 2.42, 0.13, f"{details.word(c.rng)} {c.rng.integers(1, 30)}", (240, 245, 240), 0.8)
-        materials.streaks(c, 4)
-
-    return paint
+@material
+def _wall(c: Canvas, base: Material) -> None:
+    Hung(base, 0.5, 0.9, 0.6).paint(c)
+    for _ in range(14):
+        details.notice(c, c.rng.uniform(0.1, c.width_m - 0.4), c.rng.uniform(0.3, 2.5), 0.2, 0.27)
+    for _ in range(4):
+        x, y = c.rng.uniform(0.1, c.width_m - 0.9), c.rng.uniform(1.7, 2.2)
+        (details.picture, details.poster)[c.rng.integers(2)](c, x, y, 0.65, 0.6)
+    x = c.rng.uniform(0.2, c.width_m - 1.2)
+    c.box(x, 2.35, x + 0.9, 2.6, (90, 150, 40))
+    c.text(x + 0.05, 2.42, 0.13, f"{details.word(c.rng)} {c.rng.integers(1, 30)}", (240, 245, 240), 0.8)
+    materials.streaks(c, 4)
 
 
 def _ceiling(c: Canvas) -> None:

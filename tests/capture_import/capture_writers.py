@@ -66,6 +66,11 @@ class Walk:
     def png(self, index: int) -> bytes:
         return cv2.imencode(".png", self.picture(index))[1].tobytes()
 
+    def write_video(self, path: Path, indices: Sequence[int]) -> None:
+        """A video of what is seen at these poses, at their rate."""
+        rate_hz = round(1e9 / float(np.median(np.diff(self.t_ns[list(indices)]))))
+        write_video(path, [self.picture(i) for i in indices], rate_hz)
+
     def arkit(self) -> Array:
         """The poses as ARKit writes them (N, 4, 4)."""
         return self.vio_T_cam @ inverse(ARKIT_CAM_T_CAM)
@@ -115,21 +120,16 @@ def write_scanner_app(folder: Path, walk: Walk, private: bool = False) -> None:
     _write(folder, files | {f"frame_{i:05d}.jpg": walk.jpeg(i) for i in walk.seen})
 
 
-def video_frame(bgr: np.ndarray) -> av.VideoFrame:
-    """An image as an encoder takes it: when it's left to the encoder, the conversion's result differs now and then."""
-    return av.VideoFrame.from_ndarray(bgr, format="bgr24").reformat(format="yuv420p")
-
-
-def write_video(path: Path, walk: Walk, indices: Sequence[int]) -> None:
-    """A video of the walk's images with these indices, the same to the byte each time."""
-    rate_hz = round(1e9 / float(np.median(np.diff(walk.t_ns[list(indices)]))))
+def write_video(path: Path, pictures: Sequence[np.ndarray], rate_hz: int, **options: str) -> None:
+    """A video of pictures (H, W, 3), the same to the byte each time."""
     with av.open(path, "w") as container:
-        stream = container.add_stream("libx264", rate=rate_hz)
-        stream.width, stream.height = walk.size
+        stream = container.add_stream("libx264", rate=rate_hz, options={"crf": "10"} | options)
+        stream.height, stream.width = pictures[0].shape[:2]
         stream.pix_fmt = "yuv420p"
-        stream.options = {"crf": "10"}
-        for index in indices:
-            container.mux(stream.encode(video_frame(walk.picture(index))))
+        for bgr in pictures:
+            # When it's left to the encoder, the conversion's result differs now and then.
+            frame = av.VideoFrame.from_ndarray(bgr, format="bgr24").reformat(format="yuv420p")
+            container.mux(stream.encode(frame))
         container.mux(stream.encode())
 
 
@@ -143,7 +143,7 @@ def write_stray_scanner(folder: Path, walk: Walk, per_frame: bool = True) -> Non
     fx, fy, cx, cy = walk.camera[-1]
     matrix = f"{fx}, 0.0, {cx}\n0.0, {fy}, {cy}\n0.0, 0.0, 1.0"
     _write(folder, {"odometry.csv": "\n".join(lines).encode(), "camera_matrix.csv": matrix.encode()})
-    write_video(folder / "rgb.mp4", walk, walk.all)
+    walk.write_video(folder / "rgb.mp4", walk.all)
 
 
 def write_record3d(folder: Path, walk: Walk, archive: bool = False) -> None:
@@ -196,7 +196,7 @@ def write_scan_capture(folder: Path, walk: Walk) -> None:
         numbers = _row(t[i], q[i], walk.size, walk.camera[i], sep=", ")
         lines.append(f"{walk.t_ns[i] // 1000}, normal, {numbers}, 16000")
     _write(folder, {"poses.txt": "\n".join(lines).encode()})
-    write_video(folder / "images.mp4", walk, walk.seen)
+    walk.write_video(folder / "images.mp4", walk.seen)
 
 
 def write_ios_logger(folder: Path, walk: Walk) -> None:
@@ -206,7 +206,7 @@ def write_ios_logger(folder: Path, walk: Walk) -> None:
     poses = [_row(seconds[i], t[i], q[i, 3:], q[i, :3], sep=",") for i in walk.all]
     frames = [_row(seconds[i], [n], walk.camera[i], sep=",") for n, i in enumerate(walk.seen)]
     _write(folder, {"ARposes.txt": "\r\n".join(poses).encode(), "Frames.txt": "\r\n".join(frames).encode()})
-    write_video(folder / "Frames.m4v", walk, walk.seen)
+    walk.write_video(folder / "Frames.m4v", walk.seen)
 
 
 def write_spectacular_ai(folder: Path, walk: Walk) -> None:
@@ -229,7 +229,7 @@ def write_spectacular_ai(folder: Path, walk: Walk) -> None:
     calibration = {"cameras": [{"model": "pinhole", "imuToCamera": inverse(device_T_cam).tolist()}]}
     rows = {"output.jsonl": output, "data.jsonl": data, "calibration.json": [calibration]}
     _write(folder, {name: b"\n".join(map(_json, content)) for name, content in rows.items()})
-    write_video(folder / "data.mp4", walk, walk.seen)
+    walk.write_video(folder / "data.mp4", walk.seen)
 
 
 def write_frames_jsonl(folder: Path, walk: Walk) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import stat
 import tempfile
 import zipfile
 from pathlib import Path
@@ -36,18 +37,17 @@ def test_each_archive_has_a_folder_of_its_own(tmp_path: Path, one: str, other: s
     assert [recording.path for recording in again] == [recording.path for recording in found]
 
 
-@pytest.mark.parametrize("zipped", ["folder", "zip"])
+@pytest.mark.parametrize("is_zipped", [False, True])
 def test_images_in_train_and_test_that_differ_in_metadata_alone_are_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], zipped: str
+    tmp_path: Path, place: Path, capsys: pytest.CaptureFixture[str], is_zipped: bool
 ) -> None:
-    root, comment = tmp_path / "captures" / "place", b"\xff\xfe\x00\x06here"
-    WRITERS["frames_jsonl"].write(root / "train", make_walk(4))
-    if zipped == "zip":
-        zipped_walk(root / "test.zip", 4)
+    WRITERS["frames_jsonl"].write(place / "train", make_walk(4))
+    if is_zipped:
+        zipped_walk(place / "test.zip", 4)
     else:
-        WRITERS["frames_jsonl"].write(root / "test", make_walk(4))
-    for image in (root / "train" / "images").iterdir():
-        image.write_bytes(image.read_bytes()[:2] + comment + image.read_bytes()[2:])
+        WRITERS["frames_jsonl"].write(place / "test", make_walk(4))
+    for image in (place / "train" / "images").iterdir():
+        image.write_bytes(image.read_bytes()[:2] + b"\xff\xfe\x00\x06here" + image.read_bytes()[2:])
     figures = imported(tmp_path, "sampling=all", "check_convention=false").figures
     count = figures["frames_test"]
     assert figures["test_images_also_in_train"] == count > 0
@@ -55,36 +55,53 @@ def test_images_in_train_and_test_that_differ_in_metadata_alone_are_named(
     assert f"warning: {count} of {count} test images are also training images" in said
 
 
-def test_a_zipped_export_of_a_simulated_scene_is_simulated(tmp_path: Path) -> None:
-    root = tmp_path / "captures" / "place"
-    zipped_walk(root / "walk.zip", 4)
-    with zipfile.ZipFile(root / "walk.zip", "a") as archive:
+def test_a_zipped_export_of_a_simulated_scene_is_simulated(tmp_path: Path, place: Path) -> None:
+    zipped_walk(place / "walk.zip", 4)
+    with zipfile.ZipFile(place / "walk.zip", "a") as archive:
         archive.writestr("export.json", '{"simulated": true}')
     assert load_manifest(imported(tmp_path, "check_convention=false").folder)["simulated"]
 
 
-def test_archives_that_shrink_too_much_or_hold_too_much_together_are_refused(tmp_path: Path) -> None:
-    bomb = tmp_path / "bomb.zip"
-    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as content, content.open("zeros", "w") as member:
-        for _ in range(110):
-            member.write(bytes(1 << 20))
-    for name in ("a", "b"):
-        with zipfile.ZipFile(tmp_path / f"{name}.zip", "w") as content:
-            content.writestr("noise", bytes(700_000))
-    small = Limits(max_archive_bytes=1 << 20)
-    unpack(tmp_path / "a.zip", tmp_path / "unpacked" / "a", small)
-    for archive, limits in ((bomb, Limits()), (tmp_path / "b.zip", small)):
-        with pytest.raises(UserError, match="more bytes than the limit"):
+def zipped(archive: Path, *members: tuple[str | zipfile.ZipInfo, bytes]) -> Path:
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as content:
+        for name, data in members:
+            content.writestr(name, data)
+    return archive
+
+
+@pytest.mark.parametrize("name", ["../evil.txt", "/evil.txt", "a/../../evil.txt", "..\\evil.txt", "C:\\evil.txt"])
+def test_archives_cannot_write_outside(tmp_path: Path, name: str) -> None:
+    archive = zipped(tmp_path / "walk.zip", (name, b"x"))
+    with pytest.raises(UserError, match="refused"):
+        unpack(archive, tmp_path / "deep" / "er" / "target", Limits())
+    assert not list(tmp_path.rglob("evil*"))
+
+
+def test_archives_beyond_the_limits_are_refused_and_leave_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Links; too many files; more bytes than archives of this size hold, or than all may hold together, or than are
+    free."""
+    link = zipfile.ZipInfo("link")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    linked = zipped(tmp_path / "linked.zip", (link, b"/etc/passwd"))
+    many = zipped(tmp_path / "many.zip", *((str(i), b"") for i in range(20)))
+    bomb = zipped(tmp_path / "bomb.zip", ("zeros", bytes(110 << 20)))
+    one, other = (zipped(tmp_path / f"{name}.zip", ("noise", bytes(700_000))) for name in ("one", "other"))
+    small = Limits(max_archive_files=10, max_archive_bytes=1 << 20)
+    unpack(one, tmp_path / "unpacked" / "one", small)
+    for archive, limits, found in (
+        (linked, small, "no file or folder"),
+        (many, small, "more than 10 files"),
+        (other, small, "more bytes than the limit"),
+        (bomb, Limits(), "more bytes than the limit"),
+    ):
+        with pytest.raises(UserError, match=found):
             unpack(archive, tmp_path / "unpacked" / archive.stem, limits)
-
-
-def test_an_archive_for_which_there_is_no_space_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    archive = tmp_path / "a.zip"
-    with zipfile.ZipFile(archive, "w") as content:
-        content.writestr("zeros", bytes(1 << 20))
     monkeypatch.setattr("shutil.disk_usage", lambda folder: type("Usage", (), {"free": 200 << 20}))
     with pytest.raises(UserError, match=r"(?s)too little free space.*257 MiB.*200 MiB free"):
-        unpack(archive, tmp_path / "unpacked" / "a", Limits())
+        unpack(other, tmp_path / "unpacked" / "other", Limits())
+    assert [path.name for path in (tmp_path / "unpacked").iterdir() if path.suffix != ".partial"] == ["one"]
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA, zipfile.ZIP_STORED])
@@ -95,10 +112,8 @@ def test_damaged_members_are_a_sentence_in_every_compression(tmp_path: Path, met
     whole = archive.read_bytes()
     refused = 0
     for at in range(37, min(len(whole), 4000), 61):
-        for kind, damaged in (
-            ("flipped", whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :]),
-            ("cut", whole[:at]),
-        ):
+        flipped = whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :]
+        for kind, damaged in (("flipped", flipped), ("cut", whole[:at])):
             archive.write_bytes(damaged)
             try:
                 unpack(archive, tmp_path / f"{kind}{at}" / "walk", Limits())
@@ -136,10 +151,9 @@ def test_logs_are_read_line_by_line_within_limits(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["x" * 250, "漢" * 80], ids=["ascii", "three bytes"])
-def test_a_session_of_a_long_name_is_imported(tmp_path: Path, name: str) -> None:
-    root = tmp_path / "captures" / "place"
+def test_a_session_of_a_long_name_is_imported(tmp_path: Path, place: Path, name: str) -> None:
     for folder in (name, name[:-1] + "z"):
-        WRITERS["frames_jsonl"].write(root / folder, make_walk(4))
+        WRITERS["frames_jsonl"].write(place / folder, make_walk(4))
     sessions = set(imported(tmp_path, "images=copy", "check_convention=false")["frames"]["session_id"])
     assert len(sessions) == 2 and max(len(session.encode()) for session in sessions) <= 120
 
@@ -154,8 +168,8 @@ def test_a_session_of_a_long_name_is_imported(tmp_path: Path, name: str) -> None
         ("note", "NOT UTF-8", "row isn't UTF-8 text"),
     ],
 )
-def test_one_hostile_row_is_one_reject(tmp_path: Path, key: str, value: object, reason: str) -> None:
-    log = tmp_path / "captures" / "place" / "walk" / "frames.jsonl"
+def test_one_hostile_row_is_one_reject(tmp_path: Path, place: Path, key: str, value: object, reason: str) -> None:
+    log = place / "walk" / "frames.jsonl"
     WRITERS["frames_jsonl"].write(log.parent, make_walk(20))
     rows = [json.loads(line) for line in log.read_text().splitlines()]
     rows[3][key] = value

@@ -16,7 +16,7 @@ from groundwalk.capture_import.media.images import check_image
 from groundwalk.geometry.lens import rational_of_fisheye, undistort
 from groundwalk.geometry.poses import Array, interpolate, make_pose
 from groundwalk.store import DataRoot, UserError, execute
-from groundwalk.store.choices import Clock
+from groundwalk.store.choices import Clock, PoseSource
 from tests.capture_import.capture_writers import reader_of, sessions_in
 from tests.known import there
 
@@ -54,7 +54,7 @@ def room(
         cv2.imwrite(str(path), picture)
         check = check_image(path.read_bytes(), 1.0)
         images.append(Image(i * 10**8, pose, ImageFile(path), camera, number=i, source=path.name, check=check))
-    return Session("room", Recording("phone", Clock.BOOT, tmp_path, images), [*images], [], [])
+    return Session("room", Recording("phone", Clock.BOOT, tmp_path, images), [*images])
 
 
 def _wall(
@@ -113,6 +113,36 @@ def test_right_poses_pass_and_mistakes_are_named(
     # Images without parallax tell nothing.
     still = check_convention(replace(session, frames=session.frames[:1] * 5), reader_of(tmp_path))
     assert still.pairs == 0 and still.contradicted is None
+
+
+ECEF, UTM = (4186461.3, 834911.7, 4723432.9), (499123.4, 5412345.6, 210.0)
+
+
+def in_world(session: Session, scale: float, origin: tuple[float, float, float]) -> Session:
+    """The session as a reference without a unit, in a world of so many units a metre that begins elsewhere."""
+
+    def of(frame: RawFrame) -> RawFrame:
+        assert frame.vio_T_cam is not None
+        pose = make_pose(frame.vio_T_cam[:3, :3], scale * (frame.vio_T_cam[:3, 3] + origin))
+        return replace(frame, vio_T_cam=pose)
+
+    frames = [of(frame) for frame in session.frames]
+    raw = replace(session.recording, pose_source=PoseSource.REFERENCE, is_metric=False, frames=frames)
+    return replace(session, recording=raw, frames=frames)
+
+
+@pytest.mark.parametrize(("scale", "origin"), [(0.02, (0, 0, 0)), (1.0, ECEF), (1000.0, UTM)])
+def test_mistakes_are_named_at_any_scale_and_origin(
+    tmp_path: Path, scale: float, origin: tuple[float, float, float]
+) -> None:
+    session, load = in_world(room(tmp_path), scale, origin), reader_of(tmp_path)
+    right = check_convention(session, load)
+    assert right.pairs >= 4 and right.declared > 0.9 and right.contradicted is None
+    name = "poses are world to camera, in OpenCV's axes"
+    assert check_convention(with_mistake(session, name), load).contradicted == name
+    shuffled = [session.frames[i] for i in np.random.default_rng(0).permutation(len(session.frames))]
+    name = "camera y and z axes have the other sign (ARKit's or OpenGL's for OpenCV's, or back)"
+    assert check_convention(with_mistake(replace(session, frames=shuffled), name), load).contradicted == name
 
 
 @pytest.fixture(scope="module")

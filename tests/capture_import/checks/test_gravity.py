@@ -16,7 +16,6 @@ from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose
-from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 from tests.capture_import.capture_writers import (
     Walk,
@@ -47,8 +46,9 @@ def state(folder: Path, is_aligned: bool) -> None:
     (folder / "frames.jsonl").write_text("\n".join([header, *lines[1:]]))
 
 
-def test_poses_relative_to_the_first_camera_have_no_gravity(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    place = tmp_path / "captures" / "place"
+def test_poses_relative_to_the_first_camera_have_no_gravity(
+    tmp_path: Path, place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_record3d(place / "walk", relative_to_start(make_walk()))
     write_record3d(place / "other", make_walk(seed=1))
     made = imported(tmp_path)
@@ -58,8 +58,6 @@ def test_poses_relative_to_the_first_camera_have_no_gravity(tmp_path: Path, caps
     unknown = frames["session_id"] == "walk"
     assert frames.loc[unknown, GRAVITY].isna().all(axis=None) and frames.loc[~unknown, GRAVITY].notna().all(axis=None)
     assert "walk: gravity unknown: the first pose lies exactly along the world's axes" in capsys.readouterr().err
-    text = "\n".join(inspect_capture(place / "walk"))
-    assert "gravity    unknown: the first pose lies exactly" in text and "its gravity is unknown" in text
 
 
 def write_imu(file: Path, walk: Walk, unit_s: float) -> None:
@@ -93,8 +91,7 @@ def test_an_accelerometer_says_whether_y_is_up(
     assert found is not None and abs(float(found[1]) - tilt_deg) < 1.5
 
 
-def test_frames_jsonl_states_whether_its_y_is_up(tmp_path: Path) -> None:
-    place = tmp_path / "captures" / "place"
+def test_frames_jsonl_states_whether_its_y_is_up(tmp_path: Path, place: Path) -> None:
     write_frames_jsonl(place / "denied", make_walk())
     write_frames_jsonl(place / "level", relative_to_start(make_walk(seed=1)))
     state(place / "denied", False)
@@ -104,11 +101,6 @@ def test_frames_jsonl_states_whether_its_y_is_up(tmp_path: Path) -> None:
     assert sessions.set_index("session_id")["up"].to_dict() == {"denied": "unknown", "level": "+y"}
     assert set(sessions["up_source"]) == {"stated"}
     assert frames.loc[frames["session_id"] == "denied", GRAVITY].isna().all(axis=None)
-    write_frames_jsonl(tmp_path / "wrong", make_walk())
-    (tmp_path / "wrong" / "frames.jsonl").write_text('{"groundwalk": "frames", "version": 1, "gravity_aligned": "no"}')
-    with pytest.raises(UserError, match="isn't its header") as error:
-        list(inspect_capture(tmp_path / "wrong"))
-    assert "gravity_aligned, true or false" in str(error.value)
 
 
 @pytest.mark.parametrize("axes", [np.eye(3), ARKIT_CAM_T_CAM[:3, :3], np.roll(np.eye(3), 1, axis=0)])
@@ -119,7 +111,7 @@ def test_a_start_along_axes_is_seen_in_any_convention_and_a_phone_held_level_is_
     walk = make_walk()
     tilt = Rotation.from_euler("x", off_deg, degrees=True).as_matrix()
     turned = make_pose(axes @ tilt, [1.0, 2.0, 3.0]) @ inverse(walk.vio_T_cam[0]) @ walk.vio_T_cam
-    session = Session("walk", Recording("", Clock.BOOT, Path(), []), [RawFrame(0, pose) for pose in turned], [], [])
+    session = Session("walk", Recording("", Clock.BOOT, Path(), []), [RawFrame(0, pose) for pose in turned])
     assert starts_along_axes([session]) == (off_deg == 0)
 
 

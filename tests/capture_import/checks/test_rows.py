@@ -1,4 +1,4 @@
-"""Rows, times, jumps and sharpness, without files."""
+"""Rows, times, jumps and sharpness, and that nothing depends on the unit and origin of a reference; without files."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -7,16 +7,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, Recording
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, Recording, Session
+from groundwalk.capture_import.checks.convention import unitless_parallax_pairs
+from groundwalk.capture_import.checks.plausibility import plausibility_faults
 from groundwalk.capture_import.checks.rows import check_rows
 from groundwalk.capture_import.media.images import sharpness
-from groundwalk.capture_import.sessions import find_jumps
+from groundwalk.capture_import.sessions import far_origin, find_jumps, moved
 from groundwalk.geometry.poses import Array, make_pose, rotation_angle, yaw_rotation
-from groundwalk.store.choices import Clock
+from groundwalk.store.choices import Clock, PoseSource
 from tests.capture_import.capture_writers import image, make_walk
 
 
@@ -52,6 +54,49 @@ def test_poses_between_poses_are_interpolated_and_gaps_are_not_bridged() -> None
         assert frame.vio_T_cam is not None
         off = np.linalg.inv(frame.vio_T_cam) @ walk.vio_T_cam[frame.number]
         assert np.linalg.norm(off[:3, 3]) < 5e-3 and rotation_angle(off[:3, :3]) < 5e-3
+
+
+def reference_of(scale: float, origin: Array) -> tuple[Recording, Array]:
+    """A walk as a reference without a unit, in a world of so many units a metre with another origin; its poses."""
+    walk = make_walk(40)
+    world = make_pose(walk.vio_T_cam[:, :3, :3], scale * (walk.vio_T_cam[:, :3, 3] + origin))
+    return replace(session_of(walk.t_ns, list(world)), pose_source=PoseSource.REFERENCE, is_metric=False), world
+
+
+SCALES = st.floats(-6, 6).map(lambda exponent: 10.0**exponent)
+ORIGINS = st.tuples(*[st.floats(-1e6, 1e6)] * 3).map(np.array)
+
+
+@settings(max_examples=25)
+@given(SCALES, ORIGINS, st.integers(0, 5))
+def test_pairs_rows_and_frames_do_not_depend_on_unit_and_origin(scale: float, origin: Array, broken: int) -> None:
+    walk, (session, _) = make_walk(40), reference_of(scale, origin)
+    here = session_of(walk.t_ns, list(walk.vio_T_cam))
+    assert unitless_parallax_pairs(session.frames) == unitless_parallax_pairs(here.frames)
+    assert not check_rows(session)[1]
+    # A broken number is one among those around it.
+    far = make_pose(np.eye(3), scale * (origin + np.array([0, 1e7, 0])))
+    with_broken = replace(
+        session, frames=[replace(f, vio_T_cam=far) if f.number == broken else f for f in session.frames]
+    )
+    _, (reject,) = check_rows(with_broken)
+    assert reject.source == f"row {broken}" and "from the others' middle" in reject.reason
+    raw = Session("walk", session, list(session.frames))
+    assert not plausibility_faults([raw])
+
+
+@given(SCALES, ORIGINS)
+def test_a_far_origin_is_taken_off_and_stated(scale: float, origin: Array) -> None:
+    raw, world = reference_of(scale, origin)
+    session = Session("walk", raw, list(raw.frames))
+    off, extent = far_origin([session]), float(np.linalg.norm(np.ptp(world[:, :3, 3], axis=0)))
+    assert (off is not None) == (np.linalg.norm(np.median(world[:, :3, 3], axis=0)) > 1000 * extent)
+    if off is not None:
+        near = moved(session, off).poses
+        assert np.linalg.norm(near[:, :3, 3], axis=1).max() < 12 * extent
+        np.testing.assert_allclose(near[:, :3, 3] + off, world[:, :3, 3], rtol=1e-12)
+        assert far_origin([moved(session, off)]) is None
+    assert far_origin([replace(session, recording=replace(raw, pose_source=PoseSource.VIO))]) is None
 
 
 @pytest.mark.parametrize(

@@ -67,50 +67,34 @@ def names_of(raw: Recording) -> list[str]:
     return [frame.image.path.name for frame in raw.frames if isinstance(frame.image, ImageFile)]
 
 
+SIZELESS = "states no size of 24 images"
+
+
 @pytest.mark.parametrize(
-    ("name", "format_id", "said"),
+    ("name", "format_id", "stem", "said"),
     [
-        ("colmap_input_folder", "colmap", []),
-        ("colmap_frames_folder", "colmap", []),
-        ("colmap_unpadded_names", "colmap", []),
-        ("colmap_workspace", "colmap", []),
-        ("colmap_and_transforms", "colmap", ["read as COLMAP model; it is nerfstudio transforms.json, too"]),
-        (
-            "nerf_fov_only",
-            "nerfstudio",
-            ["that of camera_angle_x", "principal point isn't stated", "states no size of 24 images"],
-        ),
-        ("nerf_backslashes", "nerfstudio", []),
-        ("nerf_per_frame_intrinsics", "nerfstudio", []),
+        ("colmap_input_folder", "colmap", "{:06d}", []),
+        ("colmap_frames_folder", "colmap", "{:06d}", []),
+        ("colmap_unpadded_names", "colmap", "frame{}", []),
+        ("colmap_workspace", "colmap", "{:06d}", []),
+        ("colmap_and_transforms", "colmap", "{:06d}", ["read as COLMAP model; it is nerfstudio transforms.json, too"]),
+        ("nerf_fov_only", "nerfstudio", "{:04d}", ["of camera_angle_x", "principal point isn't stated", SIZELESS]),
+        ("nerf_backslashes", "nerfstudio", "{:06d}", []),
+        ("nerf_per_frame_intrinsics", "nerfstudio", "{:06d}", []),
+        ("polycam_without_size", "polycam", "", [SIZELESS]),  # names are times
     ],
 )
 def test_models_and_transforms_give_all_poses(
-    make: Make, truth: np.ndarray, name: str, format_id: str, said: list[str]
+    make: Make, truth: np.ndarray, name: str, format_id: str, stem: str, said: list[str]
 ) -> None:
     raw = read_one(make(name))
-    assert raw.format == format_id and not raw.rejects and not raw.clock.has_times
+    assert raw.format == format_id and not raw.rejects and raw.clock.has_times == (not stem)
     np.testing.assert_allclose(poses_of(raw), truth, atol=1e-5)
-    stem = "frame{}.jpg" if name == "colmap_unpadded_names" else "{:06d}.jpg"
-    stem = "{:04d}.jpg" if name == "nerf_fov_only" else stem
-    assert names_of(raw) == [stem.format(n) for n in range(24)]
+    assert not stem or names_of(raw) == [f"{stem.format(n)}.jpg" for n in range(24)]
     assert len(raw.notes) == len(said) and all(part in note for part, note in zip(said, raw.notes, strict=True))
     camera = there(raw.frames[0].intrinsics)
     assert (camera.fx, camera.fy) == pytest.approx((361.9136, 361.9136), abs=1e-3)
     assert (camera.cx, camera.cy) == pytest.approx((240, 180), abs=10)
-
-
-@pytest.mark.parametrize(
-    ("name", "format_id", "recording"), [("photos_only", "photos", "photos_only"), ("video_only", "video", "IMG_0001")]
-)
-def test_images_alone_are_a_capture(make: Make, name: str, format_id: str, recording: str) -> None:
-    folder = make(name)
-    raw = read_one(folder)
-    assert (raw.format, raw.recording_id, raw.pose_source) == (format_id, recording, "none") and not raw.rejects
-    assert len(raw.frames) == 24 and all(frame.vio_T_cam is None for frame in raw.frames)
-    assert raw.clock.has_times == (name == "video_only")
-    lines, unusable = inspected(folder)
-    assert not unusable and any("24 sound, 480x360" in line for line in lines)
-    assert any("no scale and no vertical" in line for line in lines)
 
 
 def test_the_larger_of_two_models_is_read(make: Make, truth: np.ndarray) -> None:
@@ -131,20 +115,13 @@ def test_a_chosen_format_names_what_it_leaves_out(make: Make) -> None:
         find_recordings(model.parent, model.parent / "unpacked", Limits(), "record3d")
 
 
-def test_sizes_that_a_log_does_not_state_are_those_of_the_images(make: Make, truth: np.ndarray) -> None:
-    folder = make("polycam_without_size")
-    raw = read_one(folder)
-    np.testing.assert_allclose(poses_of(raw), truth, atol=1e-5)
-    assert len(raw.notes) == 1 and "states no size of 24 images" in raw.notes[0]
-    assert any("images     24 sound, 480x360" in line for line in inspect_capture(folder))
-
-
 @pytest.mark.parametrize(
     ("name", "said", "unusable"),
     [
         ("nerf_missing_images", [r"images     21 sound", r"rejected   3 x .*images/"], False),
         ("nerf_split", [r"images     24 sound", r"48 x image is a copy of that of transforms_train frame"], False),
         ("exif_rotated", [r"rejected   24 x .*EXIF orientation 6"], True),
+        ("polycam_without_size", [r"images     24 sound, 480x360"], False),
         ("stray_newest", [r"status     good"], False),
         ("nested_two_levels", [r"status     good"], False),
         ("millimetres", [r"in millimetres it would be 0\.22 m/s", r"status     unusable: not plausible"], True),
@@ -168,15 +145,6 @@ def test_what_is_good_and_what_the_data_deny_is_told(make: Make, name: str, said
     if name == "nerf_split":
         frames = read_one(folder).frames
         assert len(frames) == 72 and sum(frame.split == "test" for frame in frames) == 24
-
-
-def test_a_recording_without_its_video_is_named(make: Make) -> None:
-    folder = make("stray_without_video")
-    with pytest.raises(UserError, match=r"^Stray Scanner: odometry\.csv is here, rgb\.mp4 is not") as error:
-        read_one(folder)
-    with pytest.raises(UserError, match=r"^Stray Scanner \(stray_without_video\): odometry\.csv is here"):
-        find_recordings(folder.parent, folder.parent / "unpacked", Limits())
-    assert len(str(error.value).splitlines()) <= 12
 
 
 def test_a_part_of_a_recording_leads_to_the_whole(make: Make) -> None:
@@ -210,12 +178,6 @@ def test_lists_of_poses_and_images_are_read(make: Make, truth: np.ndarray, name:
     # TUM's lists have no intrinsics: the focal length is found by the poses and the images.
     (focal,) = [re.search(r"fx ([0-9.]+)\.\.([0-9.]+) px", line) for line in lines if "  images " in line]
     assert [float(px) for px in there(focal).groups()] == pytest.approx([361.9, 361.9], rel=0.03)
-
-
-@pytest.fixture
-def place(tmp_path: Path) -> Path:
-    (tmp_path / "captures").mkdir()
-    return tmp_path / "captures" / "place"
 
 
 def test_without_times_nothing_is_in_seconds(make: Make, place: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -65,8 +65,7 @@ def off(data: bytes, index: int, turns: int = 0) -> float:
 @pytest.mark.parametrize(
     ("orientation", "turns", "first_row"), [(6, 1, "bottom"), (3, 2, "bottom"), (8, 3, "top")]
 )  # of high images, as these are stored for (6, 1) and (8, 3), it's the right side
-def test_orientation_is_applied_once(tmp_path: Path, orientation: int, turns: int, first_row: str) -> None:
-    place = tmp_path / "captures" / "place"
+def test_orientation_is_applied_once(tmp_path: Path, place: Path, orientation: int, turns: int, first_row: str) -> None:
     for n in range(6):
         write_photo(place / f"IMG_{n}.jpg", n, turns, Orientation=orientation)
     tables = imported(tmp_path)
@@ -79,8 +78,7 @@ def test_orientation_is_applied_once(tmp_path: Path, orientation: int, turns: in
             assert shown.getexif().get(BASE.Orientation, 1) == 1
 
 
-def test_cameras_are_grouped_and_their_names_stay(tmp_path: Path) -> None:
-    place = tmp_path / "captures" / "place"
+def test_cameras_are_grouped_and_their_names_stay(tmp_path: Path, place: Path) -> None:
     secret: dict[str, Any] = {"Make": "Maker", "Model": "SecretPhone 7", "LensModel": "SecretLens"}
     for n in range(4):
         write_photo(place / f"a{n}.jpg", n, FocalLengthIn35mmFilm=26, **secret)
@@ -132,6 +130,7 @@ def test_what_is_no_photo_is_named(tmp_path: Path) -> None:
     write_photo(tmp_path / "place" / "pano.jpg", 6, size=(900, 200), Model="P")
     write_photo(tmp_path / "place" / "selfie.jpg", 7, Model="P", Orientation=2)
     write_photo(tmp_path / "place" / "IMG_20.jpg", 8, size=(234, 507))
+    write_photo(tmp_path / "place" / "IMG-WA1.jpg", 11, size=(320, 180))  # as messengers send photos
     write_photo(tmp_path / "place" / "short_pano.jpg", 9, size=(480, 240), Model="P", CustomRendered=6)
     write_photo(tmp_path / "place" / "PANO.jpg", 10, Model="P", xmp=b'<a GPano:ProjectionType="cylindrical"/>')
     (tmp_path / "place" / "b.webp").touch()
@@ -140,7 +139,7 @@ def test_what_is_no_photo_is_named(tmp_path: Path) -> None:
     (tmp_path / "place" / "empty.jpg").touch()
     (tmp_path / "place" / "IMG_1.MOV").touch()
     raw = read_one(tmp_path / "place")
-    assert len(raw.frames) == 4
+    assert {frame.source for frame in raw.frames} == {"IMG-WA1.jpg", *(f"IMG_{n}.jpg" for n in range(4))}
     reasons = {reject.source: reject.reason for reject in raw.rejects}
     for name, part in {
         "Screenshot.png": "a screenshot",
@@ -156,26 +155,18 @@ def test_what_is_no_photo_is_named(tmp_path: Path) -> None:
     assert not reasons and any("1 videos" in note and "2 pictures that" in note for note in raw.notes)
 
 
-def test_of_copies_the_one_whose_focal_length_is_stated_is_kept(tmp_path: Path) -> None:
+def test_of_copies_the_one_whose_focal_length_is_stated_is_kept(tmp_path: Path, place: Path) -> None:
     """As messengers send them, without EXIF, under names that come first."""
     for n in range(4):
-        write_photo(tmp_path / "captures" / "place" / f"IMG_{n}.jpg", n, Model="P", FocalLengthIn35mmFilm=26)
-        write_photo(tmp_path / "captures" / "place" / f"IMG-WA{n}.jpg", n)
+        write_photo(place / f"IMG_{n}.jpg", n, Model="P", FocalLengthIn35mmFilm=26)
+        write_photo(place / f"IMG-WA{n}.jpg", n)
     tables = imported(tmp_path)
     assert set(tables["frames"]["focal_sd"]) == {0.05} and len(tables["frames"]) == 4
     assert tables["rejects"]["source"].str.startswith("IMG-WA").all() and len(tables["rejects"]) == 4
 
 
-def test_what_messengers_send_is_kept_beside_photos_with_a_camera(tmp_path: Path) -> None:
-    for n in range(4):
-        write_photo(tmp_path / "place" / f"IMG_{n}.jpg", n, Model="P")
-    write_photo(tmp_path / "place" / "IMG-WA1.jpg", 5, size=(320, 180))
-    assert len(read_one(tmp_path / "place").frames) == 5
-
-
-def test_heic_is_read_upright_and_written_as_jpeg(tmp_path: Path) -> None:
-    place = tmp_path / "captures" / "place"
-    place.mkdir(parents=True)
+def test_heic_is_read_upright_and_written_as_jpeg(tmp_path: Path, place: Path) -> None:
+    place.mkdir()
     exif = PIL.Image.Exif()
     exif[BASE.Model], exif[BASE.Orientation] = "SecretPhone", 6
     exif.get_ifd(PIL.ExifTags.IFD.Exif)[BASE.FocalLengthIn35mmFilm] = 26
@@ -236,8 +227,7 @@ def write_video(
 
 
 @pytest.mark.parametrize(("rotation", "turns"), [(0, 0), (-90, 1), (180, 2)])
-def test_a_video_is_turned_and_has_its_own_times(tmp_path: Path, rotation: int, turns: int) -> None:
-    place = tmp_path / "captures" / "place"
+def test_a_video_is_turned_and_has_its_own_times(tmp_path: Path, place: Path, rotation: int, turns: int) -> None:
     times_s = [0.0, 0.4, 1.5, 1.6, 2.2, 3.9, 4.0, 5.5]  # of a variable rate
     write_video(place / "IMG_0001.MOV", times_s, rotation)
     tables = imported(tmp_path)
@@ -250,29 +240,30 @@ def test_a_video_is_turned_and_has_its_own_times(tmp_path: Path, rotation: int, 
 
 
 @pytest.mark.parametrize("step_px", [1, 2])
-def test_a_cut_in_a_video_begins_a_session(tmp_path: Path, step_px: int) -> None:
+def test_a_cut_in_a_video_begins_a_session(tmp_path: Path, place: Path, step_px: int) -> None:
     """Three places, panned slowly or fast with each image shown twice; a lamp that is turned on is no cut."""
     first = {0: 0, 24: 1, 50: 2}
 
     def picture(n: int) -> np.ndarray:
-        place = max(start for start in first if start <= n)
-        shown = np.roll(image(first[place], WIDTH, HEIGHT), step_px * (n // 2), axis=1)
+        seen = first[max(start for start in first if start <= n)]
+        shown = np.roll(image(seen, WIDTH, HEIGHT), step_px * (n // 2), axis=1)
         return cv2.convertScaleAbs(shown, alpha=0.8, beta=40 if n % 30 > 10 else 0)
 
-    write_video(tmp_path / "captures" / "place" / "a.mp4", [n / 10 for n in range(80)], picture_of=picture)
+    write_video(place / "a.mp4", [n / 10 for n in range(80)], picture_of=picture)
     tables = imported(tmp_path)
     assert tables["sessions"]["session_id"].tolist() == ["a", "a.part2", "a.part3"]
     assert tables["sessions"]["device"].tolist() == ["camera 1"] * 3
     t_s = {str(name): rows["t_ns"].to_numpy(float) * 1e-9 for name, rows in tables["frames"].groupby("session_id")}
     assert t_s["a"].max() < 2.4 <= t_s["a.part2"].min() and t_s["a.part3"].min() >= 5
-    assert any("2 cuts, at 2.4 s, 5.0 s" in line for line in inspect_capture(tmp_path / "captures" / "place"))
+    said = "\n".join(inspect_capture(place))
+    assert "2 cuts, at 2.4 s, 5.0 s" in said and "no scale and no vertical" in said
 
 
-def test_photos_of_one_camera_share_it_across_folders_and_others_dont(tmp_path: Path) -> None:
+def test_photos_of_one_camera_share_it_across_folders_and_others_dont(tmp_path: Path, place: Path) -> None:
     for n in range(4):
         for folder, model in (("a", "P"), ("b", "Q"), ("c", "P"), ("d", ""), ("e", "")):
-            write_photo(tmp_path / "captures" / "place" / folder / f"{n}.jpg", 10 * ord(folder) + n, Model=model)
-    write_video(tmp_path / "captures" / "place" / "f.mp4", [n / 2 for n in range(4)])
+            write_photo(place / folder / f"{n}.jpg", 10 * ord(folder) + n, Model=model)
+    write_video(place / "f.mp4", [n / 2 for n in range(4)])
     tables = imported(tmp_path)
     devices = tables["sessions"].set_index("session_id")["device"].str.removeprefix("camera ")
     assert devices.astype(int).to_dict() == {"a": 1, "b": 2, "c": 1, "d": 3, "e": 4, "f": 5}
@@ -285,9 +276,9 @@ def test_a_video_without_a_sharp_frame_is_refused(tmp_path: Path) -> None:
     assert unusable == ["a"] and any("none of 10 images is sharp" in line for line in lines)
 
 
-def test_positions_on_earth_are_kept_only_where_they_are_asked_for(tmp_path: Path) -> None:
+def test_positions_on_earth_are_kept_only_where_they_are_asked_for(tmp_path: Path, place: Path) -> None:
     """South and west, below the sea, one without an altitude, one that is no position, one photo without any."""
-    place, tag = tmp_path / "captures" / "place", PIL.ExifTags.GPS
+    tag = PIL.ExifTags.GPS
     for n in range(5):
         write_photo(place / f"IMG_{n}.jpg", n)
         gps: dict[int, Any] = {
@@ -311,6 +302,4 @@ def test_positions_on_earth_are_kept_only_where_they_are_asked_for(tmp_path: Pat
     assert gps_table["latitude_deg"].to_numpy() == pytest.approx([-33.8568056, -33.8570833, -33.8573611])
     assert gps_table["longitude_deg"].to_numpy() == pytest.approx(-151.2152778)
     assert gps_table["altitude_m"].fillna(0).tolist() == [-12.5, 0, -12.5] and (gps_table["accuracy_m"] == 4.75).all()
-    assert (
-        rejects["source"].tolist() == ["IMG_3.jpg"] and rejects["reason"].str.contains("aren't a place on earth").all()
-    )
+    assert rejects["source"].tolist() == ["IMG_3.jpg"] and "aren't a place on earth" in rejects["reason"][0]

@@ -17,6 +17,7 @@ from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, Rec
 from groundwalk.capture_import.capture import poses_of as raw_poses_of
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.colmap import _Camera, _intrinsics
+from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.geometry.poses import inverse
 from groundwalk.store import UserError
 from groundwalk.store.tables import poses_of
@@ -127,32 +128,34 @@ def test_cameras_that_cannot_be_used_are_left_out_by_name(
 
 
 @pytest.mark.parametrize(
-    ("factors", "focal_px", "focal_sd", "k1"),
+    ("factors", "focal_px", "focal_sd"),
     [
-        ([0.99, 1.0, 1.01, 1.02, 1.3], [80.4, 80.4, 80.4, 80.4, 104], 0, 0.05),  # one is another lens
-        ([0.94, 0.99, 1.03, 1.05, 1.0], [80] * 5, 0.044, 0.05),  # alike, but not known well
-        ([0.7, 0.8, 1.0, 1.3, 1.6], [56, 64, 80, 104, 128], 0, 0.05),  # photos of many cameras
+        ([0.99, 1.0, 1.01, 1.02, 1.3], [80.4, 80.4, 80.4, 80.4, 104], 0),  # one is another lens
+        ([0.94, 0.99, 1.03, 1.05, 1.0], [80] * 5, 0.044),  # alike, but not known well
+        ([0.7, 0.8, 1.0, 1.3, 1.6], [56, 64, 80, 104, 128], 0),  # photos of many cameras
+        ([1.0, 2.0], [80, 160], 0),
     ],
 )
 def test_a_camera_for_each_image_is_one_camera_where_they_are_alike(
-    tmp_path: Path, factors: list[float], focal_px: list[float], focal_sd: float, k1: float
+    tmp_path: Path, factors: list[float], focal_px: list[float], focal_sd: float
 ) -> None:
-    write_colmap(tmp_path / "walk", make_walk(5, every=1))
+    write_colmap(tmp_path / "walk", make_walk(len(factors), every=1))
     rewritten(tmp_path / "walk", text=True)
     sparse = tmp_path / "walk" / "sparse" / "0"
     lines = [line for line in (sparse / "images.txt").read_text().splitlines() if not line.startswith("#")]
     rows = [line.split() for line in lines[::2]]
-    cameras = [f"{n} SIMPLE_RADIAL 96 72 {80 * factor} 48 36 {k1}" for n, factor in enumerate(factors, 1)]
+    cameras = [f"{n} SIMPLE_RADIAL 96 72 {80 * factor} 48 36 0.05" for n, factor in enumerate(factors, 1)]
     (sparse / "cameras.txt").write_text("\n".join(cameras))
     (sparse / "images.txt").write_text(
         "".join(f"{' '.join([*r[:8], str(n), r[9]])}\n\n" for n, r in enumerate(rows, 1))
     )
-    (session,) = read_all(tmp_path)
+    with warnings.catch_warnings(action="error"):
+        (session,) = read_all(tmp_path)
     found = [there(frame.intrinsics) for frame in session.frames]
     assert [camera.fx for camera in found] == pytest.approx(focal_px, abs=0.5)
-    assert [camera.distortion[0] for camera in found] == [k1] * 5
+    assert {camera.distortion[0] for camera in found} == {0.05}
     assert found[0].focal_sd == pytest.approx(focal_sd, abs=0.002)
-    assert any("have a camera each" in note for note in session.notes) == (len(set(focal_px)) < 5)
+    assert any("have a camera each" in note for note in session.notes) == (len(set(focal_px)) < len(factors))
 
 
 @pytest.mark.parametrize(
@@ -204,7 +207,7 @@ def test_nerfstudio_matrices_of_intrinsics_and_scaled_rotations(tmp_path: Path) 
             frame["transform_matrix"] = pose.tolist()
 
     raw = changed(tmp_path, walk, state)
-    assert not raw.notes or not any("isn't stated" in note or "camera_angle_x" in note for note in raw.notes)
+    assert not any("isn't stated" in note or "camera_angle_x" in note for note in raw.notes)
     for frame, i in zip(raw.frames, walk.seen, strict=True):
         camera = there(frame.intrinsics)
         assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx(tuple(walk.camera[i]))
@@ -292,27 +295,27 @@ def test_applied_transform_is_undone(tmp_path: Path) -> None:
 def test_each_folder_of_images_is_a_recording(tmp_path: Path, write: Callable[[Path, Walk], object]) -> None:
     root = tmp_path / "scene"
     write(root, make_walk(8, every=1))
-    for i, name in ((i, f"{i:06d}.jpg") for i in range(8)):
-        (root / "images" / ("a" if i < 5 else "b")).mkdir(exist_ok=True)
-        (root / "images" / name).rename(root / "images" / ("a" if i < 5 else "b") / name)
+
+    def moved(name: str) -> str:
+        return f"{'a' if int(name[:6]) < 5 else 'b'}/{name}"
+
+    for image in list((root / "images").iterdir()):
+        (root / "images" / moved(image.name)).parent.mkdir(exist_ok=True)
+        image.rename(root / "images" / moved(image.name))
     if write is write_nerfstudio:
         content = json.loads((root / "transforms.json").read_text())
         for frame in content["frames"]:
-            name = Path(frame["file_path"]).name
-            frame["file_path"] = f"images/{'a' if int(name[:6]) < 5 else 'b'}/{name}"
+            frame["file_path"] = f"images/{moved(Path(frame['file_path']).name)}"
         content["test_filenames"] = [f["file_path"] for f in content["frames"] if "/b/" in f["file_path"]]
         (root / "transforms.json").write_text(json.dumps(content))
     else:
         model = pycolmap.Reconstruction(root / "sparse" / "0")
-        for image in model.images.values():
-            image.name = f"{'a' if int(image.name[:6]) < 5 else 'b'}/{image.name}"
+        for named in model.images.values():
+            named.name = moved(named.name)
         model.write_binary(root / "sparse" / "0")
         (root / "test.txt").write_text("".join(f"b/{i:06d}.jpg\n" for i in range(5, 8)))
-    sessions = read_all(tmp_path)
-    assert [(s.recording_id, [f.split for f in s.frames]) for s in sessions] == [
-        ("a", 5 * ["train"]),
-        ("b", 3 * ["test"]),
-    ]
+    splits = {raw.recording_id: [frame.split for frame in raw.frames] for raw in read_all(tmp_path)}
+    assert splits == {"a": 5 * ["train"], "b": 3 * ["test"]}
     (root / "images" / "b").rename(tmp_path / "elsewhere")
     (session,) = read_all(tmp_path)
     assert "3 rows name images in missing folders" in session.notes[0]
@@ -339,26 +342,37 @@ def test_a_recording_below_a_log_whose_images_are_elsewhere_is_found(tmp_path: P
     assert (raw.recording_id, raw.format, len(raw.frames)) == ("colmap_dense", "colmap", 6)
 
 
-def test_two_cameras_whose_focal_lengths_are_far_apart_are_two(tmp_path: Path) -> None:
-    write_colmap(tmp_path / "walk", make_walk(4))
-    folder = tmp_path / "walk" / "sparse" / "0"
-    model = pycolmap.Reconstruction(folder)
-    model.cameras[1].params = [2 * model.cameras[1].params[0], *model.cameras[1].params[1:]]
-    model.write_binary(folder)
-    with warnings.catch_warnings(action="error"):
-        (raw,) = read_all(tmp_path)
-    assert len({frame.intrinsics.fx for frame in raw.frames if frame.intrinsics}) == 2
-
-
 @pytest.mark.parametrize("metric", [False, True])
-def test_a_reference_is_no_vio_and_its_unit_is_stated(tmp_path: Path, metric: bool) -> None:
+def test_a_reference_is_no_vio_and_its_unit_is_stated(tmp_path: Path, place: Path, metric: bool) -> None:
     walk = make_walk(8, every=1)
-    write_nerfstudio(tmp_path / "captures" / "place" / "walk", walk)
+    write_nerfstudio(place / "walk", walk)
     made = imported(tmp_path, f"reference_is_metric={str(metric).lower()}")
     unit = "m" if metric else "unknown"
     assert made["sessions"][["pose_source", "reference_unit", "up"]].iloc[0].tolist() == ["reference", unit, "unknown"]
     assert made["frames"][["vio_cam_tx", "gravity_x"]].isna().all(axis=None) and made["vio"].empty
     np.testing.assert_allclose(poses_of(made["reference"], "map_cam"), walk.vio_T_cam, atol=1e-9)
+
+
+def test_a_georeferenced_data_set_comes_in_near_its_origin(tmp_path: Path, place: Path) -> None:
+    """Of all recordings the same origin, in the tables and in words."""
+    walk, ecef = make_walk(24), (4186461.3, 834911.7, 4723432.9)
+    write_nerfstudio(place, walk)
+    content = json.loads((place / "transforms.json").read_text())
+    for i, frame in enumerate(sorted(content["frames"], key=lambda row: row["file_path"])):
+        folder = "a" if i < len(content["frames"]) / 2 else "b"
+        (place / "images" / folder).mkdir(exist_ok=True)
+        (place / frame["file_path"]).rename(place / "images" / folder / Path(frame["file_path"]).name)
+        frame["file_path"] = f"images/{folder}/{Path(frame['file_path']).name}"
+        for row, value in zip(frame["transform_matrix"], ecef, strict=False):
+            row[3] += value
+    (place / "transforms.json").write_text(json.dumps(content))
+    lines = [line for line in inspect_capture(place) if "reference_origin_x" in line]
+    assert len(lines) == 2 and "(4186460, 834910, 4723430) of the data set's own coordinates" in lines[0]
+    made = imported(tmp_path)
+    origins = made["sessions"][[f"reference_origin_{axis}" for axis in "xyz"]]
+    assert origins.to_numpy().tolist() == [[4186460.0, 834910.0, 4723430.0]] * 2
+    centres = poses_of(made["reference"], "map_cam")[:, :3, 3] + origins.to_numpy()[0]
+    assert len(centres) and np.abs(centres - ecef).max() < 10
 
 
 def test_rows_of_nerfstudio_without_an_image_are_rejects(tmp_path: Path) -> None:

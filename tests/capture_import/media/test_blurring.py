@@ -83,10 +83,9 @@ def test_metadata_goes_and_pixels_stay(write: Callable[[int], bytes]) -> None:
     assert without_metadata(bare) == bare
 
 
-def test_copied_images_tell_no_place(tmp_path: Path) -> None:
-    folder = tmp_path / "captures" / "place" / "walk"
-    write_scanner_app(folder, make_walk())
-    for path in folder.glob("*.jpg"):
+def test_copied_images_tell_no_place(tmp_path: Path, place: Path) -> None:
+    write_scanner_app(place / "walk", make_walk())
+    for path in (place / "walk").glob("*.jpg"):
         path.write_bytes(jpeg_with_metadata(int(path.stem[-5:])))
     made = imported(tmp_path, "images='copy'")
     assert len(list((made.folder / "images").rglob("*.jpg"))) == 12
@@ -116,10 +115,10 @@ def test_what_a_detector_finds_is_erased_where_it_is(quarters: int) -> None:
     assert np.abs(np.diff(upright[80:130, 120:180].astype(int), axis=1)).mean() > 60
 
 
-def test_boxes_corrected_by_hand_are_blurred_and_no_others(tmp_path: Path) -> None:
+def test_boxes_corrected_by_hand_are_blurred_and_no_others(tmp_path: Path, place: Path) -> None:
     """What import found is in a table; a row taken out isn't blurred again, one put in is, as a spreadsheet writes it;
     detectors look at images that the table doesn't list."""
-    write_scanner_app(tmp_path / "captures" / "place" / "walk", walk_with_faces(6, (1, 3, 5)))
+    write_scanner_app(place / "walk", walk_with_faces(6, (1, 3, 5)))
     found = pd.read_csv(imported(tmp_path, "blur=true").folder / "blurred.csv", keep_default_na=False)
     with_face = found.loc[found["kind"] == "face", "frame_id"].str[-1]
     assert found["frame_id"].nunique() == 6 and set(with_face) == {"1", "3", "5"}
@@ -160,11 +159,11 @@ def test_a_table_of_boxes_that_cannot_be_read_is_named(tmp_path: Path, text: str
     ("write", "quarters"), [(write_scanner_app, 0), (write_stray_scanner, 0), (write_scanner_app, 1)]
 )
 def test_the_blurring_of_a_face_is_in_the_artefact(
-    tmp_path: Path, write: Callable[[Path, Walk], object], quarters: int
+    tmp_path: Path, place: Path, write: Callable[[Path, Walk], object], quarters: int
 ) -> None:
     """The whole way with the real detector: found in what gravity says is upright, counted at its frame, erased in the
     image that is written, which stays as the sensor has it."""
-    write(tmp_path / "captures" / "place" / "walk", walk_with_faces(10, (2, 7), quarters))
+    write(place / "walk", walk_with_faces(10, (2, 7), quarters))
     made = imported(tmp_path, "blur=true")
     frames = made["frames"]
     assert np.flatnonzero(frames["blurred_faces"] > 0).tolist() == [2, 7]
@@ -205,8 +204,8 @@ def test_faces_are_found_by_a_named_model_in_place_of_cascades(tmp_path: Path, m
 
 
 @pytest.mark.parametrize("content", [None, b"no network"])
-def test_a_face_model_that_cannot_be_used_is_named(tmp_path: Path, content: bytes | None) -> None:
-    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk())
+def test_a_face_model_that_cannot_be_used_is_named(tmp_path: Path, place: Path, content: bytes | None) -> None:
+    write_scanner_app(place / "walk", make_walk())
     if content:
         (tmp_path / "yunet.onnx").write_bytes(content)
     with pytest.raises(UserError, match="face detector's file can't be used" if content else "settings of scene place"):

@@ -6,13 +6,17 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pandas as pd
 import pytest
 
 from tests.capture_import.capture_writers import WRITERS, Walk, imported, make_walk, read_one, write_record3d
 from tests.known import read_picture, rows, there
 
 SHAPE = (12, 16)  # that of the images, 72x96
+
+
+def pixels_of(entry: str, folder: Path) -> np.ndarray:
+    """A depth or confidence image of frames' table."""
+    return read_picture(folder / entry.removeprefix("import:"), cv2.IMREAD_UNCHANGED)
 
 
 def depth_mm(index: int) -> np.ndarray:
@@ -57,8 +61,8 @@ def test_each_frame_has_its_own_depth(tmp_path: Path, name: str) -> None:
         assert (depth.confidence is None) == (not PLACES[name][1])
 
 
-def test_tum_depth_is_that_nearest_in_time_in_millimetres(tmp_path: Path) -> None:
-    place, walk = tmp_path / "captures" / "place" / "walk", make_walk(8)
+def test_tum_depth_is_that_nearest_in_time_in_millimetres(tmp_path: Path, place: Path) -> None:
+    walk = make_walk(8)
     WRITERS["tum"].write(place, walk)
     (place / "depth").mkdir()
     late_s = [0.015] * 6 + [0.025] * 2  # the last image's beyond what counts as the same time
@@ -66,36 +70,21 @@ def test_tum_depth_is_that_nearest_in_time_in_millimetres(tmp_path: Path) -> Non
         cv2.imwrite(str(place / f"depth/{i}.png"), 5 * depth_mm(i))
     lines = [f"{t_ns * 1e-9 + late_s[i]:.6f} depth/{i}.png" for i, t_ns in enumerate(walk.t_ns.tolist())]
     (place / "depth.txt").write_text("# depth maps\n" + "\n".join(reversed(lines)))
-    folder, frames, rejects = run(tmp_path)
-    assert not len(rejects) and frames["depth"].notna().tolist() == [True, True, True, False]
-    for i, row in zip(walk.seen[:3], rows(frames), strict=False):
-        pixels = read_picture(folder / row.depth.removeprefix("import:"), cv2.IMREAD_UNCHANGED)
-        assert (pixels == depth_mm(i)).all()
-
-
-def test_the_real_phone_with_lidar_has_depth_of_all_images(shared_captures: Path) -> None:
-    folder = shared_captures / "charuco" / "test-lowres"
-    if not folder.is_dir():
-        pytest.skip("no capture with depth")
-    with_image = [frame for frame in read_one(folder).frames if frame.image is not None]
-    assert len(with_image) == 31 and all(frame.depth and frame.depth.confidence for frame in with_image)
-
-
-def run(data: Path, *settings: str) -> tuple[Path, pd.DataFrame, pd.DataFrame]:
-    made = imported(data, *settings)
-    return made.folder, made["frames"], made["rejects"]
+    made = imported(tmp_path)
+    assert made["rejects"].empty and made["frames"]["depth"].notna().tolist() == [True, True, True, False]
+    for i, row in zip(walk.seen[:3], rows(made["frames"]), strict=False):
+        assert (pixels_of(row.depth, made.folder) == depth_mm(i)).all()
 
 
 @pytest.mark.parametrize("images", ["reference", "copy"])
-def test_depth_goes_where_images_go(tmp_path: Path, images: str) -> None:
-    write_with_depth(tmp_path / "captures" / "place" / "walk", make_walk(8))
-    folder, frames, rejects = run(tmp_path, f"images={images!r}")
-    assert not len(rejects) and frames["depth"].notna().all() and frames["depth_confidence"].notna().all()
-    for row in rows(frames):
+def test_depth_goes_where_images_go(tmp_path: Path, place: Path, images: str) -> None:
+    write_with_depth(place / "walk", make_walk(8))
+    made = imported(tmp_path, f"images={images!r}")
+    assert made["rejects"].empty and made["frames"][["depth", "depth_confidence"]].notna().all(axis=None)
+    for row in rows(made["frames"]):
         entries = [row.depth.startswith("import:"), row.depth_confidence.startswith("import:")]
-        assert entries == [images != "reference"] * 2
-        place = folder if images != "reference" else tmp_path / "captures" / "place"
-        pixels = read_picture(place / row.depth.removeprefix("import:"), cv2.IMREAD_UNCHANGED)
+        assert entries == [images == "copy"] * 2
+        pixels = pixels_of(row.depth, made.folder if images == "copy" else place)
         assert (pixels == depth_mm(int(row.frame_id[-6:]))).all()
 
 
@@ -110,12 +99,12 @@ def test_depth_goes_where_images_go(tmp_path: Path, images: str) -> None:
     ],
 )
 def test_a_broken_depth_image_costs_the_depth_not_the_frame(
-    tmp_path: Path, damage: Callable[[Path], object], reason: str
+    tmp_path: Path, place: Path, damage: Callable[[Path], object], reason: str
 ) -> None:
-    walk_folder = tmp_path / "captures" / "place" / "walk"
-    write_with_depth(walk_folder, make_walk(8), confidence=False)
-    damage(walk_folder / "depth_00002.png")
-    _, frames, rejects = run(tmp_path)
+    write_with_depth(place / "walk", make_walk(8), confidence=False)
+    damage(place / "walk" / "depth_00002.png")
+    made = imported(tmp_path)
+    frames, rejects = made["frames"], made["rejects"]
     assert len(frames) == 4
     assert frames.loc[frames["depth"].isna(), "frame_id"].tolist() == ["walk/000002"]
     assert frames["depth_confidence"].isna().all()
@@ -131,7 +120,7 @@ def depth_m(index: int) -> np.ndarray:
 
 def is_read(entry: str, folder: Path, index: int) -> bool:
     """A depth image that import wrote is `depth_m` in millimetres."""
-    pixels = read_picture(folder / entry.removeprefix("import:"), cv2.IMREAD_UNCHANGED)
+    pixels = pixels_of(entry, folder)
     expected = depth_mm(index)
     expected[0, :3] = 0
     return pixels.dtype == np.uint16 and bool((pixels == expected).all())
@@ -145,15 +134,15 @@ def r3d(folder: Path, walk: Walk, compress: Callable[[bytes], bytes]) -> None:
             archive.writestr(f"rgbd/{i}.conf", compress(np.full(SHAPE, i % 3, np.uint8).tobytes()))
 
 
-def test_depth_of_an_r3d_archive_becomes_png(tmp_path: Path) -> None:
+def test_depth_of_an_r3d_archive_becomes_png(tmp_path: Path, place: Path) -> None:
     lzfse = pytest.importorskip("liblzfse", reason="pyliblzfse isn't installed (groundwalk[record3d])")
-    r3d(tmp_path / "captures" / "place" / "walk", make_walk(8, every=1), lzfse.compress)
-    folder, frames, rejects = run(tmp_path)
-    assert not len(rejects) and len(frames) == 8
-    for row in rows(frames):
+    r3d(place / "walk", make_walk(8, every=1), lzfse.compress)
+    made = imported(tmp_path)
+    assert made["rejects"].empty and len(made["frames"]) == 8
+    for row in rows(made["frames"]):
         index = int(row.frame_id[-6:])
-        confidence = read_picture(folder / row.depth_confidence.removeprefix("import:"), cv2.IMREAD_UNCHANGED)
-        assert is_read(row.depth, folder, index)
+        confidence = pixels_of(row.depth_confidence, made.folder)
+        assert is_read(row.depth, made.folder, index)
         assert (confidence == index % 3).all() and confidence.dtype == np.uint8
 
 
@@ -166,19 +155,19 @@ def test_depth_of_an_r3d_archive_becomes_png(tmp_path: Path) -> None:
     ],
 )
 def test_broken_lzfse_costs_the_depth_not_the_frame(
-    tmp_path: Path, damage: Callable[[bytes, Callable[[bytes], bytes]], bytes], reason: str
+    tmp_path: Path, place: Path, damage: Callable[[bytes, Callable[[bytes], bytes]], bytes], reason: str
 ) -> None:
     lzfse = pytest.importorskip("liblzfse", reason="pyliblzfse isn't installed (groundwalk[record3d])")
-    r3d(tmp_path / "captures" / "place" / "walk", make_walk(8), lambda data: damage(data, lzfse.compress))
-    _, frames, rejects = run(tmp_path)
-    assert len(frames) == 4 and frames["depth"].isna().all()
-    assert rejects["reason"].str.contains(reason).all() and len(rejects) == 4
+    r3d(place / "walk", make_walk(8), lambda data: damage(data, lzfse.compress))
+    made = imported(tmp_path)
+    assert len(made["frames"]) == 4 and made["frames"]["depth"].isna().all()
+    assert made["rejects"]["reason"].str.contains(reason).all() and len(made["rejects"]) == 4
 
 
 def test_depth_of_an_exported_folder_is_read_where_exr_is_turned_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = tmp_path / "captures" / "place" / "walk"
+    folder = place / "walk"
     monkeypatch.setenv("OPENCV_IO_ENABLE_OPENEXR", "1")
     write_record3d(folder, make_walk(8))
     (folder / "depth").mkdir()
@@ -189,9 +178,10 @@ def test_depth_of_an_exported_folder_is_read_where_exr_is_turned_on(
     assert not any(frame.depth for frame in raw.frames)
     assert any("OPENCV_IO_ENABLE_OPENEXR=1" in note for note in raw.notes)
     monkeypatch.setenv("OPENCV_IO_ENABLE_OPENEXR", "1")
-    result, frames, rejects = run(tmp_path)
-    assert not len(rejects) and frames["depth"].notna().all() and frames["depth_confidence"].isna().all()
-    assert all(is_read(row.depth, result, int(row.frame_id[-6:])) for row in rows(frames))
+    made = imported(tmp_path)
+    frames = made["frames"]
+    assert made["rejects"].empty and frames["depth"].notna().all() and frames["depth_confidence"].isna().all()
+    assert all(is_read(row.depth, made.folder, int(row.frame_id[-6:])) for row in rows(frames))
 
 
 def test_without_a_decoder_the_note_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

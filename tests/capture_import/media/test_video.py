@@ -10,18 +10,12 @@ import pytest
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.formats.video import read
 from groundwalk.capture_import.media.video import HLG, PQ, decode, gray_pixels, rgb_pixels
-from tests.capture_import.capture_writers import HEIGHT, WIDTH, image, video_frame
+from tests.capture_import.capture_writers import image, write_video
 
 
-def write_long_video(path: Path, count: int, rate_hz: int = 10) -> None:
+def write_long_video(path: Path, count: int) -> None:
     """A video with a key frame every second and frames that are stored in another order than they're shown."""
-    with av.open(path, "w") as container:
-        stream = container.add_stream("libx264", rate=rate_hz)
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-        stream.options = {"crf": "10", "bf": "2", "g": str(rate_hz)}
-        for index in range(count):
-            container.mux(stream.encode(video_frame(image(index))))
-        container.mux(stream.encode())
+    write_video(path, [image(i) for i in range(count)], 10, bf="2", g="10")
 
 
 def packets(path: Path) -> list[tuple[int, int]]:
