@@ -1,5 +1,5 @@
-"""COLMAP: `sparse/0` with cameras, images and points in the map, `images/`, and lists of image names by split; and what
-hloc's scripts take.
+"""COLMAP: `sparse/0` with cameras, images and points in the map, `images/`, and lists of image names by split; and the
+layouts of hloc and kapture, which have COLMAP's cameras.
 
 Format: https://colmap.github.io/format.html (world-to-camera poses, quaternions w first in text; pixel centres at 0.5,
 as ours). The world is the map: metric, +y up. Each of SfM's models without a common view with the others has a separate
@@ -11,7 +11,7 @@ from the images' features; where images are undistorted, observations are, too.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from urllib.parse import unquote
+from urllib.parse import quote, unquote
 
 import numpy as np
 import pycolmap
@@ -24,6 +24,7 @@ from groundwalk.store.hints import setting_of
 
 # Of OpenCV's coefficients, in its order, as in FULL_OPENCV.
 DISTORTION = 8
+_VERSION = "# kapture format: 1.1"
 
 
 def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool = False) -> list[str]:
@@ -123,6 +124,12 @@ def colmap_camera(camera: Camera) -> tuple[str, list[float]]:
     return model, [camera.fx, camera.fy, camera.cx, camera.cy, *lens, *[0.0] * (count - len(lens))]
 
 
+def camera_fields(camera: Camera) -> list[str]:
+    """COLMAP's model, size and parameters, as text."""
+    model, parameters = colmap_camera(camera)
+    return [model, str(camera.width), str(camera.height), *map(numbers, parameters)]
+
+
 def write_hloc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
     """What hloc's scripts of localising take: in `reference/` the model of the frames that aren't for testing,
     `queries_with_intrinsics.txt` of test images, and `queries_poses.txt`, as its results have them. Returns the frames'
@@ -146,9 +153,7 @@ def write_hloc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
     cameras, poses, all_cameras = list[str](), list[str](), dataset.cameras
     position, quaternion = tq_from_pose(inverse(dataset.map_T_cam))
     for row in dataset.rows_of(queries):
-        camera = all_cameras[row]
-        model, parameters = colmap_camera(camera)
-        cameras.append(f"{names[row]} {model} {camera.width} {camera.height} {numbers(*parameters)}")
+        cameras.append(" ".join([names[row], *camera_fields(all_cameras[row])]))
         x, y, z, w = quaternion[row]
         poses.append(f"{names[row]} {numbers(w, x, y, z, *position[row])}")
     write_lines(folder / "queries_with_intrinsics.txt", cameras)
@@ -156,3 +161,38 @@ def write_hloc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
     of_largest = dataset.frames["frame_id"].isin(largest.frame_ids)
     listed = [name if is_in else "" for name, is_in in zip(names, of_largest, strict=True)]
     return place_images(dataset, folder, listed, images)
+
+
+def write_kapture(dataset: Dataset, folder: Path, images: Images) -> list[str]:
+    """kapture 1.1: `mapping/` and, of test frames, `query/`, each with `sensors/`, which has the images in
+    `records_data/`; returns the frames' image paths.
+
+    Format: https://github.com/naver/kapture/blob/main/kapture_format.adoc (world-to-camera poses, quaternion w first;
+    names without commas). A timestamp is a frame's row among those exported, as clocks of sessions have different
+    starts and kapture's are of 32 bits; `frames.csv` has the capture times.
+    """
+    frames, placed = dataset.frames, [""] * len(dataset.frames)
+    cameras, names = [", ".join(camera_fields(camera)) for camera in dataset.cameras], dataset.image_names
+    position, quaternion = tq_from_pose(inverse(dataset.map_T_cam))
+    for name, in_part in (("mapping", ~dataset.in_test), ("query", dataset.in_test)):
+        rows, sensors, poses, records = np.flatnonzero(in_part), dict[str, str](), list[str](), list[str]()
+        for row in rows:
+            session_id = frames["session_id"].iloc[row]
+            # Frames share a camera where focus and lens stayed the same.
+            device = sensors.setdefault(f"{session_id}\n{cameras[row]}", f"{quote(session_id, safe='')}-{len(sensors)}")
+            x, y, z, w = quaternion[row]
+            poses.append(f"{row}, {device}, {numbers(w, x, y, z, *position[row], separator=', ')}")
+            records.append(f"{row}, {device}, {names[row]}")
+            placed[row] = f"{name}/sensors/records_data/{names[row]}"
+            dataset.images[row].place(folder / placed[row], images)
+        if not len(rows):
+            continue
+        listed = [f"{device}, , camera, {key.partition(chr(10))[2]}" for key, device in sensors.items()]
+        world = f"# world: the map, {dataset.world}"
+        for file, head, lines in (
+            ("sensors", ["# sensor_device_id, name, sensor_type, [sensor_params]+"], listed),
+            ("trajectories", [world, "# timestamp, device_id, qw, qx, qy, qz, tx, ty, tz"], poses),
+            ("records_camera", ["# timestamp, device_id, image_path"], records),
+        ):
+            write_lines(folder / name / "sensors" / f"{file}.txt", [_VERSION, *head, *lines])
+    return placed

@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import partial
 
 from groundwalk.export.colmap import DISTORTION as OF_COLMAP
-from groundwalk.export.colmap import write_colmap, write_hloc
+from groundwalk.export.colmap import write_colmap, write_hloc, write_kapture
 from groundwalk.export.exporters import Exporter
 from groundwalk.export.huggingface import write_huggingface
 from groundwalk.export.nerfstudio import DISTORTION, write_nerfstudio, write_splat
@@ -74,6 +74,14 @@ HLOC = Exporter(
     label="hloc",
     meaning="a reference model and lists of queries for hloc's scripts",
     write=write_hloc,
+    distortion_coefficients=OF_COLMAP,
+    cameras="alike",
+)
+KAPTURE = Exporter(
+    id="kapture",
+    label="kapture",
+    meaning="kapture 1.1, one of the frames for mapping and one of the queries",
+    write=write_kapture,
     distortion_coefficients=OF_COLMAP,
     cameras="alike",
 )

@@ -56,6 +56,6 @@ BUILTIN: dict[str, dict[str, str]] = {
     "groundwalk.exporters": {
         **_records("export.entries", "colmap", "colmap-text", "tum", "nerfstudio", "splat"),
         "7scenes": "groundwalk.export.entries:SEVEN_SCENES",
-        **_records("export.entries", "cambridge", "euroc", "hloc", "huggingface"),
+        **_records("export.entries", "cambridge", "euroc", "hloc", "kapture", "huggingface"),
     },
 }

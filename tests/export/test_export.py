@@ -22,7 +22,7 @@ from groundwalk.capture_import.capture import Limits, RawFrame, Recording
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.export import command, huggingface
 from groundwalk.export.__main__ import app
-from groundwalk.export.colmap import colmap_camera, write_hloc
+from groundwalk.export.colmap import camera_fields, write_hloc
 from groundwalk.export.dataset import Dataset, load_dataset
 from groundwalk.export.dataset_card import _privacy
 from groundwalk.export.exporters import EXPORTERS
@@ -229,6 +229,32 @@ def test_hloc_gets_a_reference_and_queries(scene: DataRoot) -> None:
     _assert_same(scene, found)
 
 
+def test_kapture_is_two_data_sets_by_its_definition(scene: DataRoot) -> None:
+    """Fields between commas; a pose is world to camera, w first; a record's sensor is in sensors.txt, its pose in
+    trajectories.txt under the same time and sensor."""
+    out = _export(scene, "kapture")
+    frame_of, truth, found = _frame_of(out), _truth(scene), dict[str, Array]()
+    sizes = table_of(scene, "Place", "import", "frames").set_index("frame_id")[["width", "height"]].astype(str)
+    for part, splits in (("mapping", {"train", "val"}), ("query", {"test"})):
+        tables = {}
+        for name in ("sensors", "trajectories", "records_camera"):
+            lines = (out / part / "sensors" / f"{name}.txt").read_text(encoding="utf-8").splitlines()
+            assert lines[0] == "# kapture format: 1.1"
+            tables[name] = [[field.strip() for field in line.split(",")] for line in lines if not line.startswith("#")]
+        sensors = {device: fields for device, _, kind, *fields in tables["sensors"] if kind == "camera"}
+        poses = {(time, device): np.array(pose, float) for time, device, *pose in tables["trajectories"]}
+        for time, device, image in tables["records_camera"]:
+            frame_id = frame_of[f"{part}/sensors/records_data/{image}"]
+            row, (model, width, height, *params) = truth.loc[frame_id], sensors[device]
+            assert row["split"] in splits and int(time) < 2**32
+            assert (out / part / "sensors" / "records_data" / image).is_file()
+            assert (model, width, height) == ("PINHOLE", *sizes.loc[frame_id])
+            np.testing.assert_allclose(np.array(params, float), row[INTRINSICS].to_numpy(float), atol=1e-6)
+            qw, qx, qy, qz, *translation = poses[time, device]
+            found[frame_id] = inverse(pose_from_tq(np.array(translation), np.array([qx, qy, qz, qw])))
+    _assert_same(scene, found)
+
+
 def _with_focal_lengths(scene: DataRoot, spread_px: float) -> Dataset:
     """As one phone took it, with focal lengths that differ by at most this."""
     dataset = load_dataset(scene, "tiny", "Place", reads_images=False)
@@ -244,11 +270,15 @@ def test_frames_of_a_device_share_a_camera_where_no_corner_moves_by_half_a_pixel
     assert near.cameras[0].fx == pytest.approx(1400.57)
     far = EXPORTERS.find("colmap").with_its_cameras(_with_focal_lengths(scene, 2 * 0.60))
     assert len(set(far.cameras)) == FRAMES and 0.5 < far.apart_px < 0.52
-    for name, of_model in (("colmap", "sparse/0"), ("hloc", "reference")):
+    for name in ("colmap", "hloc", "kapture"):
         out = scene.root / name
         out.mkdir()
         EXPORTERS.find(name).write(near, out, "none")
-        model = pycolmap.Reconstruction(out / of_model)
+        if name == "kapture":
+            sensors = (out / "mapping" / "sensors" / "sensors.txt").read_text().splitlines()
+            assert len([line for line in sensors if not line.startswith("#")]) == 1
+            continue
+        model = pycolmap.Reconstruction(out / ("reference" if name == "hloc" else "sparse/0"))
         assert len(model.cameras) == len(model.rigs) == 1 < len(model.images) == len(model.frames)
 
 
@@ -257,12 +287,12 @@ def test_a_zoomed_image_keeps_a_pinhole_of_its_own(scene: DataRoot) -> None:
     assert len({camera.fx for camera in _with_focal_lengths(scene, 80).with_pinholes().cameras}) == FRAMES
 
 
-def test_cameras_are_colmaps() -> None:
+def test_kapture_has_colmaps_lenses() -> None:
     lens = (0.1, -0.2, 0.003, 0.004)
-    model, parameters = colmap_camera(Camera(64, 48, 50.0, 51.0, 32.0, 24.0, lens))
-    assert (model, parameters) == ("OPENCV", [50.0, 51.0, 32.0, 24.0, *lens])
-    model, parameters = colmap_camera(Camera(64, 48, 50.0, 51.0, 32.0, 24.0, (*lens, 0.5)))
-    assert (model, parameters[4:]) == ("FULL_OPENCV", [*lens, 0.5, 0.0, 0.0, 0.0])
+    opencv = camera_fields(Camera(64, 48, 50.0, 51.0, 32.0, 24.0, lens))
+    assert ", ".join(opencv) == "OPENCV, 64, 48, 50.0, 51.0, 32.0, 24.0, 0.1, -0.2, 0.003, 0.004"
+    full = camera_fields(Camera(64, 48, 50.0, 51.0, 32.0, 24.0, (*lens, 0.5)))
+    assert full[:2] == ["FULL_OPENCV", "64"] and full[-5:] == ["0.004", "0.5", "0.0", "0.0", "0.0"]
 
 
 def test_where_on_earth_the_map_is_is_given_out_only_where_it_is_asked_for(scene: DataRoot) -> None:
