@@ -2,22 +2,26 @@
 
 https://www.repository.cam.ac.uk/handle/1810/251342 (readme). A row is an image's path, the camera's position in metres,
 and a quaternion w, x, y, z of the world-to-camera rotation, with OpenCV's camera axes, by SfM: a reference, and nothing
-says where up is. `reconstruction.nvm` (VisualSFM) has each image's focal length. Frames have no times, and the order of
-names isn't always one of time.
+says where up is. `reconstruction.nvm` (VisualSFM) has each image's focal length; `frames.csv`, which our own exports
+write beside, has whole intrinsics and goes before it. Frames have no times, and the order of names isn't always one of
+time.
 """
 
+import csv
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
-from groundwalk.capture_import.data_sets import NO_DISTORTION, export_world, reference, size_of
+from groundwalk.capture_import.data_sets import NO_DISTORTION, reference, size_of
 from groundwalk.capture_import.formats import Format
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock, SessionSplit
 
+_CAMERA = ("width", "height", "fx", "fy", "cx", "cy")
 _LISTS = {"dataset_train.txt": SessionSplit.TRAIN, "dataset_test.txt": SessionSplit.TEST}
 
 
@@ -30,14 +34,14 @@ def detect(path: Path) -> bool:
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    rows = [
-        (source, (split, line))
-        for name, split in _LISTS.items()
-        if (file := path.parent / name).is_file()
-        for source, line in parsing.lines_of(file, limits, lambda line: line.startswith(f"{path.name}/"))
-    ]
+    rows: list[tuple[str, tuple[SessionSplit, str]]] = []
+    for file, split in ((path.parent / name, split) for name, split in _LISTS.items()):
+        of_split = (
+            parsing.lines_of(file, limits, lambda line: line.startswith(f"{path.name}/")) if file.is_file() else []
+        )
+        rows += [(source, (split, line)) for source, line in of_split]
     focal = _focal_lengths(path.parent / "reconstruction.nvm", path.name, limits)
-    distortion = NO_DISTORTION if export_world(path.parent) else ()
+    cameras = _intrinsics(path.parent / "frames.csv", path.name, limits)
 
     def read_row(place: int, row: tuple[SessionSplit, str]) -> RawFrame:
         split, line = row
@@ -56,7 +60,7 @@ def read(path: Path, limits: Limits) -> Recording:
             parsing.seconds_to_ns(int(number[1])),
             make_pose(cam_R_world.T, [x, y, z]),
             ImageFile(image),
-            Intrinsics(f, f, width / 2, height / 2, width, height, distortion),
+            cameras.get(name) or Intrinsics(f, f, width / 2, height / 2, width, height),
             split=split,
             number=int(number[1]),
         )
@@ -80,6 +84,34 @@ def _focal_lengths(file: Path, folder: str, limits: Limits) -> dict[str, float]:
             value = float(fields[1]) if re.fullmatch(r"[0-9.]+(e[+-]?\d+)?", fields[1]) else math.nan
             by_name[Path(fields[0]).stem] = value
     return by_name
+
+
+def _intrinsics(file: Path, folder: str, limits: Limits) -> dict[str, Intrinsics]:
+    """Whole intrinsics by the image's path, of one folder, where our export has written them; none where it's another
+    file."""
+    if not file.is_file():
+        return {}
+    lines = parsing.lines_of(file, limits, lambda line: line.startswith("frame_id,") or f"{folder}/" in line)
+    rows = csv.DictReader(line for _, line in lines)
+    if not {"image", *_CAMERA, "distortion"} <= set(rows.fieldnames or ()):
+        return {}
+    try:
+        return {
+            row["image"]: replace(
+                parsing.intrinsics(row),
+                distortion=tuple(parsing.split_numbers(row["distortion"] or "")) or NO_DISTORTION,
+            )
+            for row in rows
+            if row["image"]
+        }
+    except (parsing.BadRow, csv.Error) as error:
+        raise UserError(
+            "an export's cameras can't be read",
+            where=file,
+            expected=f"{', '.join(_CAMERA)} of each image",
+            found=error,
+            do="export the scene again",
+        ) from None
 
 
 FORMAT = Format(
