@@ -127,7 +127,7 @@ def _walk(count: int, height_m: float, distance_m: float) -> Array:
 def _textures(seed: int) -> list[np.ndarray]:
     """A texture for each wall."""
     lengths_m = [[float(np.linalg.norm(side)) for side in sides] for _, *sides in _WALLS]
-    return [_texture(*lengths_m[i], seed + i) for i in range(len(_WALLS))]
+    return [_texture(width_m, height_m, seed + i) for i, (width_m, height_m) in enumerate(lengths_m)]
 
 
 def _texture(width_m: float, height_m: float, seed: int) -> np.ndarray:
