@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from groundwalk.alignment.checked_map import CheckedMap, FrameVerdicts
 from groundwalk.alignment.checks.models import check_links, check_registration, check_standard_errors, missing_scale
 from groundwalk.alignment.checks.results import (
     CheckResult,
@@ -18,19 +17,20 @@ from groundwalk.alignment.checks.results import (
 )
 from groundwalk.alignment.checks.sessions import check_focal_length, check_sessions
 from groundwalk.alignment.checks.windows import check_window, component_windows, max_residuals
-from groundwalk.alignment.components import NOT_GIVEN, Component, GivenFrame
+from groundwalk.alignment.components import NOT_GIVEN, Component, GivenFrame, PlacedComponent
 from groundwalk.alignment.map_frame import common_scale, common_vertical
 from groundwalk.alignment.reference.placement import check_session_references, fit_component, limits_of
 from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.rulers.measurement import RulerMeasurement
 from groundwalk.alignment.rulers.scale_check import scale_by_rulers
-from groundwalk.alignment.segments import Segment, cut_segments, registered_rows, sessions_of
+from groundwalk.alignment.segments import Segment, SegmentWindow, cut_segments, registered_rows, sessions_of
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables, covariances
 from groundwalk.alignment.uncertainty import covariance_in_map, largest_sd
 from groundwalk.alignment.vio_links import place_components
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import Array
 from groundwalk.store import UserError
 from groundwalk.store.choices import FailureCause
 from groundwalk.store.hints import setting_of
@@ -39,6 +39,59 @@ from groundwalk.store.hints import setting_of
 _CONFIRMED_M, _CONFIRMED_RAD = 0.25, float(np.radians(2.0))
 # Where more of the frames than this contradict a reference, the others may agree with it by chance.
 _MAX_CONTRADICTING = 0.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameVerdicts:
+    """What the checks say of frames (N,): whether SfM has a pose, why a frame gets no ground truth (`exclusion`, empty
+    where it does), why one that does is of class C at best (`problem`), and its largest residuals against VIO (or the
+    reference that gives the map), metres and radians, NaN where there are none."""
+
+    registered: np.ndarray
+    exclusion: np.ndarray
+    problem: np.ndarray
+    residual_m: Array
+    residual_rad: Array
+
+    @property
+    def has_ground_truth(self) -> np.ndarray:
+        """(N,) frames with ground truth."""
+        return self.registered & (self.exclusion == "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedMap:
+    """The models that are metric and upright, where each lies in the map, all checks, and what they say of the rows of
+    the frames table. `windows` are what was compared with VIO; `reference_limit` is how far frames may be from the
+    reference poses that give the map, in its unit and radians, None where VIO gives it."""
+
+    components: list[Component]
+    placed: list[PlacedComponent]
+    checks: list[CheckResult]
+    frames: FrameVerdicts
+    windows: Sequence[SegmentWindow] = ()
+    reference_limit: tuple[float, float] | None = None
+
+    def where(self, mask: np.ndarray) -> "CheckedMap":
+        """Of the rows of the frames table for which `mask` (N,) holds, numbered from 0; windows and checks stay as they
+        are."""
+        row_of = np.cumsum(mask) - 1
+        components: dict[int, Component] = {}
+        for component in self.components:
+            segments = [s.where(mask[s.rows]) for s in component.segments if mask[s.rows].any()]
+            if segments:
+                segments = [replace(s, rows=row_of[s.rows]) for s in segments]
+                components[component.index] = replace(component, segments=segments)
+        return replace(
+            self,
+            components=list(components.values()),
+            placed=[
+                replace(p, component=components[p.component.index])
+                for p in self.placed
+                if p.component.index in components
+            ],
+            frames=FrameVerdicts(**{name: values[mask] for name, values in vars(self.frames).items()}),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

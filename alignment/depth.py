@@ -1,4 +1,4 @@
-"""A depth sensor against the map, at the points of SfM; its depth gives nothing to the map.
+"""A depth sensor against the map, at the points of SfM, in scale and over distance; it gives nothing to the map.
 
 Depth images are as import has them: 16-bit PNG, millimetres along the camera's z axis, with the field of view of the
 image; their confidence is 0, 1, 2 or 0, 127, 255.
@@ -14,10 +14,13 @@ import numpy as np
 import pandas as pd
 import pycolmap
 
+from groundwalk.alignment.checks.results import CheckResult, Failure, Quantity, Subject, evaluate
 from groundwalk.alignment.components import PlacedComponent
+from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.depth_images import ratio_statistics, sample_depth
 from groundwalk.geometry.poses import Array, inverse, transform
 from groundwalk.store import UserError
+from groundwalk.store.choices import CheckName, FailureCause
 from groundwalk.store.files import sha256_of
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of
@@ -28,12 +31,11 @@ _BINS_M = (0.0, 0.5, 1.0, 2.0, 3.0, MAX_RANGE_M, np.inf)
 HIGH_CONFIDENCE = 2
 # A point that two frames see may be a wrong match.
 _MIN_TRACK = 3
+# Phones' depth sensors are off by some per cent: more says that map or sensor is wrong.
+_MAX_SCALE_ERROR, _MAX_SPREAD = 0.05, 0.05
+# Fewer samples or frames decide nothing.
+_MIN_SAMPLES, _MIN_FRAMES = 100, 3
 _COLUMNS = ["session_id", "component", "frame", "map_m", "sensor_m", "confidence"]
-
-
-def has_depth(frames: pd.DataFrame) -> bool:
-    """Some frame has a depth image."""
-    return bool(frames["depth"].map(_is_path).any())
 
 
 def read_depth(path: Path, confidence: Path | None, sha256: str) -> tuple[Array, np.ndarray]:
@@ -125,6 +127,53 @@ def agreement_table(samples: pd.DataFrame, seed: int) -> pd.DataFrame:
                 )
     table = pd.DataFrame(rows, columns=schema("align", "depth_agreement").column_names)
     return table.astype({"confidence": "Int64", "far_m": float})
+
+
+def check_depth(agreement: pd.DataFrame) -> tuple[list[CheckResult], list[str]]:
+    """Checks of each session's scale and geometry by its depth (the align.depth_agreement table), and lines for the
+    user. A failure excludes no frame: map or sensor may be what is wrong."""
+    results, lines = list[CheckResult](), []
+    sessions = agreement[["session_id", "component"]].drop_duplicates()
+    for session_id, component in sessions.itertuples(index=False, name=None):
+        of_session = agreement[(agreement["session_id"] == session_id) & (agreement["component"] == component)]
+        # High confidence where the phone states any.
+        confidence, has_levels = of_session["confidence"], of_session["confidence"].notna().any()
+        rows = of_session[confidence == HIGH_CONFIDENCE if has_levels else confidence.isna()]
+        rows = rows[(rows["samples"] >= _MIN_SAMPLES) & (rows["frames"] >= _MIN_FRAMES)]
+        is_whole = (rows["near_m"] == 0.0) & (rows["far_m"] == MAX_RANGE_M)
+        if not is_whole.any():
+            reason = f"too little depth within {MAX_RANGE_M:g} m to check the map by"
+            lines.append(f"{session_id}: {reason}")
+            subject, open_ = Subject(int(of_session["frames"].max()), session_id, int(component)), Status.UNDECIDED
+            name, limit = CheckName.SESSION_DEPTH_SCALE, _MAX_SCALE_ERROR
+            results.append(evaluate(name, subject, Quantity(), limit, _failure(reason), open_))
+            continue
+        whole, bins = rows[is_whole].iloc[0], rows[~is_whole & (rows["far_m"] <= MAX_RANGE_M)]
+        subject = Subject(int(whole["frames"]), session_id, int(component))
+        error, sd = float(whole["median_ratio"]) - 1, float(whole["median_ratio_se"])
+        reason = (
+            f"the sensor's depth is {abs(error):.2%} {'more' if error > 0 else 'less'} than the map's "
+            f"(± {sd:.2%}, {whole['samples']} points in {whole['frames']} frames)"
+        )
+        lines.append(f"{session_id}: {reason}")
+        estimate = Quantity(abs(error), sd)
+        results.append(evaluate(CheckName.SESSION_DEPTH_SCALE, subject, estimate, _MAX_SCALE_ERROR, _failure(reason)))
+        if len(bins) > 1:
+            # The largest difference between the ratios of two distances.
+            ordered = bins.sort_values("median_ratio")
+            low, high = ordered.iloc[0], ordered.iloc[-1]
+            sd = float(np.hypot(low["median_ratio_se"], high["median_ratio_se"]))
+            estimate = Quantity(float(high["median_ratio"] - low["median_ratio"]), sd)
+            failure = _failure(
+                f"depth by the sensor over depth by the map differs with distance: {low['median_ratio']:.3f} from "
+                f"{low['near_m']:g} m, {high['median_ratio']:.3f} from {high['near_m']:g} m"
+            )
+            results.append(evaluate(CheckName.SESSION_DEPTH_BY_DISTANCE, subject, estimate, _MAX_SPREAD, failure))
+    return results, lines
+
+
+def _failure(reason: str) -> Failure:
+    return Failure(cause=FailureCause.DEPTH_INCONSISTENT, reason=reason)
 
 
 def _is_path(entry: object) -> bool:

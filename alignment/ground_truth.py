@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from groundwalk.alignment.checked_map import CheckedMap, FrameVerdicts
+from groundwalk.alignment.check_models import CheckedMap, FrameVerdicts
 from groundwalk.alignment.checks.results import checks_table
 from groundwalk.alignment.components import PlacedComponent
 from groundwalk.alignment.drift import DriftSamples, drift_table, measure_drift

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from groundwalk.alignment.check_models import refusal
-from groundwalk.alignment.checked_map import CheckedMap
+from groundwalk.alignment.check_models import CheckedMap, refusal
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.geometry.fits import similarity_of_poses

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from groundwalk.alignment.checked_map import CheckedMap
+from groundwalk.alignment.check_models import CheckedMap
 from groundwalk.alignment.checks.results import describe, main_failure
 from groundwalk.alignment.components import Component
 from groundwalk.alignment.reference.poses import Reference
@@ -85,10 +85,7 @@ def _draw_against_reference(
     plan.plot(*stated.T, color=_rgb(VIO), lw=1.2, marker=".", ms=3, label="reference")
     plan.plot(*sfm.T, color=_rgb(GROUND_TRUTH), lw=1.2, marker=".", ms=3, label="SfM")
     plan.plot(*sfm[is_excluded].T, "x", ms=5, color=_rgb(REJECTED), label=f"no ground truth: {is_excluded.sum()}")
-    plan.set_aspect("equal", adjustable="datalim")
-    plan.set_title(f"{segment.session_id}, model {segment.component}: widest plane, {unit}", fontsize=8)
-    plan.legend(fontsize=7)
-    plan.tick_params(labelsize=7)
+    _finish_plan(plan, f"{segment.session_id}, model {segment.component}: widest plane, {unit}")
     assert checked.reference_limit is not None
     limit, limit_rad = checked.reference_limit
     degrees = np.degrees(checked.frames.residual_rad[rows])
@@ -97,10 +94,7 @@ def _draw_against_reference(
         axis.plot(values, color=_rgb(GROUND_TRUTH), lw=1)
         axis.plot(np.flatnonzero(values > most), values[values > most], "x", ms=4, color=_rgb(REJECTED))
         axis.axhline(most, color=_rgb(NEUTRAL), lw=1, ls="--")
-        axis.set_ylim(bottom=0)
-        axis.set_title(f"SfM from the reference, {name} (dashed: limit)", fontsize=8)
-        axis.set_xlabel("frames in order", fontsize=7)
-        axis.tick_params(labelsize=7)
+        _finish_curve(axis, f"SfM from the reference, {name} (dashed: limit)", "frames in order")
 
 
 def _draw_plan(plan: Axes, checked: CheckedMap, component: Component, segment: Segment) -> None:
@@ -113,12 +107,16 @@ def _draw_plan(plan: Axes, checked: CheckedMap, component: Component, segment: S
     plan.plot(vio[:, 0], vio[:, 2], color=_rgb(VIO), lw=1.2, label="VIO")
     plan.plot(sfm[:, 0], sfm[:, 2], color=_rgb(GROUND_TRUTH), lw=1.2, label="SfM")
     plan.plot(x, z, "x", ms=5, color=_rgb(REJECTED), label=f"no ground truth: {is_excluded.sum()}")
-    plan.set_aspect("equal", adjustable="datalim")
     plan.invert_yaxis()
     name = segment.session_id + (f", part {segment.index}" if segment.index else "")
     reasons = Counter(checked.frames.exclusion[both.rows[is_excluded]]).most_common(1)
     lines = [textwrap.fill(reason, _REASON_WIDTH) for reason, _ in reasons]
-    plan.set_title("\n".join([f"{name}, model {segment.component}: plan, m", *lines]), fontsize=8)
+    _finish_plan(plan, "\n".join([f"{name}, model {segment.component}: plan, m", *lines]))
+
+
+def _finish_plan(plan: Axes, title: str) -> None:
+    plan.set_aspect("equal", adjustable="datalim")
+    plan.set_title(title, fontsize=8)
     plan.legend(fontsize=7)
     plan.tick_params(labelsize=7)
 
@@ -131,9 +129,13 @@ def _draw_curves(axis: Axes, curves: Sequence[tuple[SegmentWindow, Array, float]
         axis.plot(seconds, values, color=_rgb(REJECTED if is_beyond.any() else GROUND_TRUTH), lw=1)
         axis.plot(seconds[is_beyond], values[is_beyond], "x", ms=4, color=_rgb(REJECTED))
         axis.plot(seconds[[0, -1]], [limit, limit], color=_rgb(NEUTRAL), lw=1, ls="--")
+    _finish_curve(axis, f"SfM from VIO in windows, {unit} (dashed: limit)", "s")
+
+
+def _finish_curve(axis: Axes, title: str, along: str) -> None:
     axis.set_ylim(bottom=0)
-    axis.set_title(f"SfM from VIO in windows, {unit} (dashed: limit)", fontsize=8)
-    axis.set_xlabel("s", fontsize=7)
+    axis.set_title(title, fontsize=8)
+    axis.set_xlabel(along, fontsize=7)
     axis.tick_params(labelsize=7)
 
 

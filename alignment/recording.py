@@ -18,7 +18,6 @@ from groundwalk.store.recording import TIMELINE, UP_AXIS, log_camera, log_images
 _QUALITY_COLOURS = {QualityClass.A: GROUND_TRUTH, QualityClass.B: (110, 200, 170), QualityClass.C: NEUTRAL}
 # Sessions in the residuals' two plots; grey, green and orange mean something else.
 _SESSION_COLOURS = [(0, 114, 178), (204, 121, 167), (86, 180, 233), (240, 228, 66), (170, 110, 40), (150, 110, 220)]
-# Sessions have different clocks; from each one's start their curves lie over each other.
 # Ellipsoids are drawn so many times too large: a centimetre on a walk of 50 m can't be seen.
 _ELLIPSOID_TIMES = 10
 # 95 % of three normal axes lie within so many standard deviations.
@@ -107,6 +106,7 @@ def log_sessions(rec: rr.RecordingStream, fits: Sequence[SessionFit], frames: pd
         log_path(rec, f"map/vio/{name}/path", vio_in_map[:, :3, 3], VIO)
         for residual in ("position_m", "rotation_deg"):
             rec.log(f"residuals/{residual}/{name}", rr.SeriesLines(colors=colour, names=name), static=True)
+        # Sessions have different clocks; from each one's start their curves lie over each other.
         start_ns = frames.loc[frames["session_id"] == s.session_id, "t_ns"].min()
         for number, index in enumerate(fit.compared):
             set_time(rec, s.t_ns[index] - start_ns)

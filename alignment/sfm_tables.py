@@ -61,13 +61,10 @@ class SfmTables:
 
     def focal(self, model_id: str, session_id: str) -> FocalEstimate | None:
         """None where the images don't determine it."""
-        table = self.intrinsics
-        rows = table[(table["model_id"] == model_id) & (table["session_id"] == session_id)]
-        rows = rows[rows["focal_scale_sd"].notna()]
-        if rows.empty:
-            return None
-        row = rows.iloc[0]
-        return FocalEstimate(float(row["focal_scale"]), float(row["focal_scale_sd"]))
+        table = self.intrinsics[self.intrinsics["focal_scale_sd"].notna()]
+        of_both = table[(table["model_id"] == model_id) & (table["session_id"] == session_id)]
+        values = of_both[["focal_scale", "focal_scale_sd"]].to_numpy(float)
+        return FocalEstimate(*values[0].tolist()) if len(values) else None
 
     def pairs_match_vio(self, session_id: str) -> bool:
         """Most pairs of the session's frames, each by its two images alone, move as VIO does."""

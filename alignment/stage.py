@@ -7,15 +7,14 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.alignment import depth, georeference, given_frame, held, recording
-from groundwalk.alignment.check_models import AlignInputs, check_models, refusal
-from groundwalk.alignment.checked_map import CheckedMap
-from groundwalk.alignment.checks.depth import check_depth
+from groundwalk.alignment.check_models import AlignInputs, CheckedMap, check_models, refusal
 from groundwalk.alignment.checks.results import CheckResult, checks_table, describe
 from groundwalk.alignment.components import MAX_SCALE_SD, MAX_VERTICAL_SD, NOT_GIVEN, GivenFrame, MapScale, Vertical
 from groundwalk.alignment.control import check as control_check
 from groundwalk.alignment.control.check import ControlCheck
 from groundwalk.alignment.control.points import ControlPoints, find_points
 from groundwalk.alignment.control.tables import control_table, draw_control, points_table
+from groundwalk.alignment.depth import check_depth
 from groundwalk.alignment.georeference import NoGeoreference
 from groundwalk.alignment.ground_truth import AlignResult, build, camera_sd, poses_in_map
 from groundwalk.alignment.plot import draw_checks
@@ -153,7 +152,7 @@ def _check_by_depth(
         frames,
         images,
         checked.frames.has_ground_truth,
-        checked.placed if depth.has_depth(frames) else [],
+        checked.placed,
         lambda model_id: r.folder("sfm") / r.read("sfm", "models").set_index("model_id")["folder"][model_id],
         r.image_path,
     )

@@ -7,8 +7,7 @@ from typing import Any
 
 from benchmarks.results import markdown_table
 from groundwalk.alignment.checks.definitions import DEFINITIONS
-from groundwalk.alignment.control.settings import ControlSettings
-from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler
+from groundwalk.alignment.settings import AprilTagRuler, CharucoRuler, ControlSettings, DistanceRuler
 from groundwalk.cli import COMMANDS, stages
 from groundwalk.fusion.methods import METHODS
 from groundwalk.localisation.localisers import LOCALISERS

@@ -17,7 +17,6 @@ from groundwalk.geometry.robust import CAUCHY_WIDTH
 from groundwalk.localisation.frames import row_times
 
 _CONVERGED = 5e-5  # rad, m
-_MIN_POINTS = 6
 _UNKNOWNS = 13
 NO_VERTICAL = float(np.pi)
 """The `gravity_sd` of a map whose +y isn't up."""
@@ -73,8 +72,6 @@ def ransac(
     Ideal image points (M, 2) are at unit focal length, and so is `max_error`. The rolling shutter is left out here, so
     that it has to be wide.
     """
-    if len(ideal_M2) < _MIN_POINTS:
-        return None
     params = cv2.UsacParams()
     params.confidence, params.maxIterations, params.threshold = 0.9999, trials, max_error
     params.score, params.sampler = cv2.SCORE_METHOD_MSAC, cv2.SAMPLING_UNIFORM

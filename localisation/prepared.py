@@ -104,33 +104,28 @@ class Prepared:
         return tuple(lenses)
 
 
-def match(training: Training, track: Track = untracked, kind: FeatureKind = SIFT) -> Ints:
-    """Matches (M, 2) of frames that see the same by their poses, of which the rays meet: features, numbered over all
-    frames. `track` shows progress over pairs."""
-    views, features = training.views, training.features
+def prepare(
+    scene: str, training: Training, settings: StructureSettings, kind: FeatureKind = SIFT, track: Track = untracked
+) -> Prepared:
+    """The training frames with their matches, of frames that see the same by their poses and where rays meet, and
+    points. `track` shows progress over pairs of frames."""
+    views, features, rays = training.views, training.features, training.rays()
     first = np.cumsum([0, *(len(f) for f in features)])
     extent = np.array([[c.width / c.fx, c.height / c.fy] for c in views.cameras]) / 2
     positions = views.map_T_cam[:, :3, 3]
     reach_m = min(_LARGEST_REACH_M, max(1.0, float(np.linalg.norm(np.ptp(positions, axis=0)))))
     pairs: Sequence[Ints] = list(covisible_pairs(views.map_T_cam, extent, reach_m, _PAIRS_PER_FRAME))
-    every, descriptors = training.rays(), [unit(f.descriptors) for f in features]
+    descriptors = [unit(f.descriptors) for f in features]
 
     def matched(pair: Ints) -> Ints:
         a, b = pair.tolist()
         rows = mutual_matches(descriptors[a], descriptors[b], kind.ratio) + first[pair]
-        error = epipolar_error_px(every[rows[:, 0]], every[rows[:, 1]])
+        error = epipolar_error_px(rays[rows[:, 0]], rays[rows[:, 1]])
         return rows[error < _MAX_EPIPOLAR_PX]
 
     found = in_parallel(matched, track(pairs, "matching training frames", len(pairs)))
-    return np.concatenate([np.empty((0, 2), np.int64), *found])
-
-
-def prepare(
-    scene: str, training: Training, settings: StructureSettings, kind: FeatureKind = SIFT, track: Track = untracked
-) -> Prepared:
-    """The training frames with their matches and points."""
-    pairs, rays = match(training, track, kind), training.rays()
-    return Prepared(scene, training, settings, kind, rays, pairs, _points(rays, pairs))
+    matches = np.concatenate([np.empty((0, 2), np.int64), *found])
+    return Prepared(scene, training, settings, kind, rays, matches, _points(rays, matches))
 
 
 def _points(rays: Rays, pairs: Ints) -> Points:

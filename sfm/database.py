@@ -61,10 +61,20 @@ def image_id(row: int) -> int:
     return row + 1
 
 
+def inverse_of(b_from_a: pycolmap.Rigid3d) -> Array:
+    """a_T_b (4, 4)."""
+    b_T_a = b_from_a.matrix()
+    return inverse(make_pose(b_T_a[:, :3], b_T_a[:, 3]))
+
+
 def pose_of(image: pycolmap.Image) -> Array:
     """sfm_T_cam (4, 4) of a registered image."""
-    cam_T_sfm = image.cam_from_world().matrix()
-    return inverse(make_pose(cam_T_sfm[:, :3], cam_T_sfm[:, 3]))
+    return inverse_of(image.cam_from_world())
+
+
+def keypoints_px(opened: pycolmap.Database, row: int) -> Array:
+    """The keypoints (K, 2) of a row's image, px."""
+    return opened.read_keypoints(image_id(row))[:, :2].astype(float)
 
 
 def camera_of(frame: Any, camera_id: int) -> pycolmap.Camera:
@@ -72,20 +82,14 @@ def camera_of(frame: Any, camera_id: int) -> pycolmap.Camera:
 
     PINHOLE without coefficients of distortion, otherwise the smaller of OPENCV and FULL_OPENCV that holds them.
     """
-    distortion = [float(k) for k in frame.distortion]
+    distortion = [float(k) for k in frame.distortion][:8]
+    model, count = ("OPENCV", 4) if len(distortion) <= 4 else ("FULL_OPENCV", 8)
     if not distortion:
-        model, extra = "PINHOLE", []
-    elif len(distortion) <= 4:
-        model, extra = "OPENCV", distortion + [0.0] * (4 - len(distortion))
-    else:
-        model, extra = "FULL_OPENCV", distortion[:8] + [0.0] * (8 - len(distortion))
-    camera = pycolmap.Camera(
-        camera_id=camera_id,
-        model=model,
-        width=int(frame.width),
-        height=int(frame.height),
-        params=[frame.fx, frame.fy, frame.cx, frame.cy, *extra],
-    )
+        model, count = "PINHOLE", 0
+    distortion += [0.0] * (count - len(distortion))
+    params = [frame.fx, frame.fy, frame.cx, frame.cy, *distortion]
+    width, height = int(frame.width), int(frame.height)
+    camera = pycolmap.Camera(camera_id=camera_id, model=model, width=width, height=height, params=params)
     camera.has_prior_focal_length = True
     return camera
 
@@ -163,10 +167,10 @@ def read_descriptors(path: Path, count: int) -> list[NDArray[np.uint8]]:
         return [database.read_descriptors(image_id(row)).data for row in range(count)]
 
 
-def read_keypoints(path: Path, count: int) -> list[NDArray[np.float64]]:
+def read_keypoints(path: Path, count: int) -> list[Array]:
     """The keypoints (K, 2) of each of the `count` frames, px."""
     with pycolmap.Database.open(path) as database:
-        return [database.read_keypoints(image_id(row))[:, :2].astype(float) for row in range(count)]
+        return [keypoints_px(database, row) for row in range(count)]
 
 
 def keypoint_counts(path: Path, count: int) -> Ints:
@@ -184,10 +188,8 @@ def has_results(path: Path, pairs: Ints) -> NDArray[np.bool_]:
 def read_pair_results(path: Path, pairs: Ints) -> tuple[Ints, Ints]:
     """Matches and verified inliers of pairs of rows (P, 2); both (P,)."""
     with pycolmap.Database.open(path) as database:
-        ids, matches = database.read_num_matches()
-        match_counts = dict(zip(ids, matches, strict=True))
-        ids, inliers = database.read_two_view_geometry_num_inliers()
-        inlier_counts = dict(zip(ids, inliers, strict=True))
+        match_counts = dict(zip(*database.read_num_matches(), strict=True))
+        inlier_counts = dict(zip(*database.read_two_view_geometry_num_inliers(), strict=True))
     ids = [pycolmap.image_pair_to_pair_id(image_id(a), image_id(b)) for a, b in pairs.tolist()]
     return np.array([match_counts.get(i, 0) for i in ids], int), np.array([inlier_counts.get(i, 0) for i in ids], int)
 

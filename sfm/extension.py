@@ -17,8 +17,7 @@ from groundwalk.geometry.poses import Array, skew
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, known_lens
 from groundwalk.sfm.database import Workspace
 from groundwalk.sfm.mapping.attempts import MIN_CONSISTENT, MIN_REGISTERED, Attempt
-from groundwalk.sfm.mapping.built import BuiltModel, selected_models
-from groundwalk.sfm.model import Model
+from groundwalk.sfm.model import BuiltModel, Model, selected_models
 from groundwalk.sfm.pairs.matched import are_verified, rows_of
 from groundwalk.sfm.pairs.odometry import Odometry
 from groundwalk.sfm.scene_input import logged_cameras, with_focal_lengths, with_start_lenses

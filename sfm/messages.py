@@ -8,7 +8,7 @@ import pandas as pd
 
 from groundwalk.sfm.cameras.motion import MAX_GAP_S, UNKNOWN_ANGULAR_SD, Motion
 from groundwalk.sfm.mapping.attempts import MIN_CONSISTENT, Attempt
-from groundwalk.sfm.mapping.built import BuiltModel
+from groundwalk.sfm.model import BuiltModel
 from groundwalk.sfm.pairs.matched import are_verified, rows_of, status_of
 from groundwalk.sfm.pairs.odometry import Odometry
 from groundwalk.sfm.quality.covariance import Covariances

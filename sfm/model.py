@@ -1,8 +1,11 @@
-"""Finished models as arrays over all frames: poses, points, observations and reprojection errors."""
+"""Models that mapping built: their records, in a file beside them; and finished ones as arrays over all frames, with
+poses, points, observations and reprojection errors."""
 
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,6 +14,51 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import Ints, image_id, pose_of
+
+_FILE = "built.json"
+
+
+@dataclass(frozen=True)
+class BuiltModel:
+    """A model that mapping built: by which mapping, its number there, its size, the rows of frames that were taken out
+    as misplaced, what its images say of stated lenses (`mapping.stated.StatedCheck`), and, where it was selected, its
+    folder; beside that `<folder>.npz` has what `groundwalk.sfm.cameras.model_adjustment.load_adjusted` reads."""
+
+    mapping: str
+    number: int
+    images: int
+    points: int
+    observations: int
+    mean_track_length: float
+    mean_reprojection_px: float
+    misplaced: Sequence[int] = ()
+    folder: str = ""
+    stated: Sequence[dict[str, Any]] = ()
+
+    @property
+    def model_id(self) -> str:
+        return f"{self.mapping}/{self.number}"
+
+    @staticmethod
+    def of(mapping: str, number: int, model: pycolmap.Reconstruction) -> "BuiltModel":
+        """The record of a model, which isn't selected."""
+        sizes = model.num_reg_images(), model.num_points3D(), model.compute_num_observations()
+        means = model.compute_mean_track_length(), model.compute_mean_reprojection_error()
+        return BuiltModel(mapping, number, *sizes, *means)
+
+
+def write_built(folder: Path, built: Sequence[BuiltModel]) -> None:
+    (folder / _FILE).write_text(json.dumps([asdict(one) for one in built]), encoding="utf-8")
+
+
+def read_built(output: Path) -> list[BuiltModel]:
+    """The models in the order in which they were built."""
+    return [BuiltModel(**entry) for entry in json.loads((output / _FILE).read_text(encoding="utf-8"))]
+
+
+def selected_models(built: Sequence[BuiltModel]) -> list[BuiltModel]:
+    """The models that were selected, the largest first."""
+    return sorted((entry for entry in built if entry.folder), key=lambda entry: (len(entry.folder), entry.folder))
 
 
 @dataclass(frozen=True)
@@ -75,13 +123,7 @@ def renumbered(folder: Path, names: Sequence[str]) -> pycolmap.Reconstruction:
     row_of = {name: row for row, name in enumerate(names)}
     id_of = {i: image_id(row_of[name]) for i in source.reg_image_ids() if (name := source.image(i).name) in row_of}
     for old_id, new_id in id_of.items():
-        image = source.image(old_id)
-        camera = source.camera(image.camera_id)
-        camera.camera_id = new_id
-        model.add_camera_with_trivial_rig(camera)
-        keypoints = np.array([p.xy for p in image.points2D]).reshape(-1, 2)
-        moved = pycolmap.Image(name=image.name, keypoints=keypoints, camera_id=new_id, image_id=new_id)
-        model.add_image_with_trivial_frame(moved, image.cam_from_world())
+        add_image(model, source, old_id, new_id)
     for point_id, point in source.points3D.items():
         seen = [(id_of[e.image_id], e.point2D_idx) for e in point.track.elements if e.image_id in id_of]
         if len({i for i, _ in seen}) > 1:
@@ -94,36 +136,39 @@ def renumbered(folder: Path, names: Sequence[str]) -> pycolmap.Reconstruction:
     return model
 
 
+def add_image(model: pycolmap.Reconstruction, source: pycolmap.Reconstruction, old_id: int, new_id: int) -> None:
+    """Add an image that another model has registered, with its camera and pose, but none of the points it sees."""
+    image = source.image(old_id)
+    camera = source.camera(image.camera_id)
+    camera.camera_id = new_id
+    model.add_camera_with_trivial_rig(camera)
+    keypoints = np.array([p.xy for p in image.points2D]).reshape(-1, 2)
+    added = pycolmap.Image(name=image.name, keypoints=keypoints, camera_id=new_id, image_id=new_id)
+    model.add_image_with_trivial_frame(added, image.cam_from_world())
+
+
 def load_models(folders: Sequence[Path], frames: int) -> Model:
     """COLMAP models, of a database made by `create_database` for so many frames, none of which is in two models."""
     sfm_T_cam, model = np.full((frames, 4, 4), np.nan), np.full(frames, -1)
-    frame, point, observed_px, residual_px = [], [], [], []
-    point_model, point_ids, xyz, rgb = [], [], [], []
-    first_point = 0
+    of_points, of_observations, first_point = [], [], 0
     for number, folder in enumerate(folders):
         reconstruction = pycolmap.Reconstruction(folder)
         points = reconstruction.points3D
         ids = np.array(sorted(points), np.int64)
-        place = np.array([points[i].xyz for i in ids]).reshape(-1, 3)
-        point_ids.append(ids)
-        point_model.append(np.full(len(ids), number))
-        xyz.append(place)
-        rgb.append(np.array([points[i].color for i in ids], np.uint8).reshape(-1, 3))
+        xyz = np.array([points[i].xyz for i in ids]).reshape(-1, 3)
+        rgb = np.array([points[i].color for i in ids], np.uint8).reshape(-1, 3)
+        of_points.append((np.full(len(ids), number), ids, xyz, rgb))
         for row in sorted(i - 1 for i in reconstruction.reg_image_ids()):
             image = reconstruction.image(image_id(row))
             sfm_T_cam[row], model[row] = pose_of(image), number
             seen = image.get_observation_points2D()
             index = np.searchsorted(ids, [p.point3D_id for p in seen])
             cam_T_sfm = image.cam_from_world().matrix()
-            in_camera = place[index] @ cam_T_sfm[:, :3].T + cam_T_sfm[:, 3]
+            in_camera = xyz[index] @ cam_T_sfm[:, :3].T + cam_T_sfm[:, 3]
             projected = np.asarray(reconstruction.camera(image.camera_id).img_from_cam(in_camera)).reshape(-1, 2)
-            frame.append(np.full(len(seen), row))
-            point.append(first_point + index)
-            observed_px.append(np.array([p.xy for p in seen]).reshape(-1, 2))
-            residual_px.append(projected - observed_px[-1])
+            observed_px = np.array([p.xy for p in seen]).reshape(-1, 2)
+            of_image = np.full(len(seen), row), first_point + index, observed_px, projected - observed_px
+            of_observations.append(of_image)
         first_point += len(ids)
-    return Model(
-        sfm_T_cam,
-        model,
-        *map(np.concatenate, (point_model, point_ids, xyz, rgb, frame, point, observed_px, residual_px)),
-    )
+    columns = [*zip(*of_points, strict=True), *zip(*of_observations, strict=True)]
+    return Model(sfm_T_cam, model, *map(np.concatenate, columns))

@@ -37,12 +37,12 @@ class MapperEntry(Entry):
 
 MAPPERS = Registry("groundwalk.mappers", MapperEntry)
 
-INCREMENTAL, GLOBAL, HIERARCHICAL = (
+INCREMENTAL, GLOBAL = (
     MapperEntry(
         id=name,
         label=name,
         meaning=f"COLMAP's {name} mapping",
         run=Lazy(f"groundwalk.sfm.mapping.mappers:{name}_mapping"),
     )
-    for name in ("incremental", "global", "hierarchical")
+    for name in ("incremental", "global")
 )

@@ -33,7 +33,7 @@ class SfmSettings(Settings):
         description="frames of other sessions, of most similar images, that a frame is matched to, and of its own "
         "recording where that has no VIO; half as many that match a third frame in common",
     )
-    mapper: MapperName = Field("incremental", description="incremental, global or hierarchical")
+    mapper: MapperName = Field("incremental", description="incremental or global")
     retry: bool = Field(True, description="try other pairs and more features where frames are missing or wrong")
     lens: LensSource = Field(
         "auto", description="distortion k1, k2: auto estimates it from the images; stated takes what the capture states"

@@ -13,11 +13,10 @@ from groundwalk.sfm.cameras.model_adjustment import cameras_of_frames, load_adju
 from groundwalk.sfm.extension import HeldArtefact, refuse_misfit
 from groundwalk.sfm.mapping.attempts import Attempt, run_attempts
 from groundwalk.sfm.mapping.build import build_models, extend_models
-from groundwalk.sfm.mapping.built import BuiltModel, read_built, selected_models
 from groundwalk.sfm.mapping.held_out import VerifiedPairs, held_out_check, read_matches
-from groundwalk.sfm.model import load_models
+from groundwalk.sfm.model import BuiltModel, load_models, read_built, selected_models
 from groundwalk.sfm.pairs import verification
-from groundwalk.sfm.pairs.floor import FloorSource
+from groundwalk.sfm.pairs.floor import PairSource
 from groundwalk.sfm.pairs.matched import are_verified, checkpoint, rows_of
 from groundwalk.sfm.pairs.selection import pairs_by_images, pairs_within_sessions
 from groundwalk.sfm.plugins import MappingInput
@@ -66,25 +65,31 @@ def run(r: StageRun[SfmSettings]) -> None:
             # Later steps replace results in the database, by which pairs were chosen for them.
             steps = work.scratch / f"matched_{number}"
             steps.mkdir(exist_ok=True)
-            source = FloorSource(features, work, frames, cameras.lenses, cameras.motion)
+            source = PairSource(
+                database=database,
+                features=features,
+                work=work,
+                frames=frames,
+                lenses=cameras.lenses,
+                motion=cameras.motion,
+                vio=vio,
+                seed=r.seed,
+            )
             compared = checkpoint(
                 steps / "compared.parquet",
                 lambda: verification.compared_with_vio(
-                    verification.match_proposals(settings, vio, proposals, database, work, r.seed, is_new),
-                    vio,
-                    database,
+                    verification.match_proposals(settings, source, proposals, is_new), source
                 ),
             )
             floor = checkpoint(
-                steps / "floor.parquet",
-                lambda: verification.with_floor_matches(compared, source, vio, database, work, r.say),
+                steps / "floor.parquet", lambda: verification.with_floor_matches(compared, source, r.say)
             )
             guided = checkpoint(
-                steps / "guided.parquet", lambda: verification.with_guided_matches(floor, compared, vio, database, work)
+                steps / "guided.parquet", lambda: verification.with_guided_matches(floor, compared, source)
             )
             matched = checkpoint(
                 steps / "neighbours.parquet",
-                lambda: verification.compared_with_neighbours(guided, is_alone, vio, source, database, work, r.seed),
+                lambda: verification.compared_with_neighbours(guided, is_alone, source),
             )
         folder = work.scratch / f"mapping_{number}"
         with r.step("mapping"):

@@ -13,9 +13,8 @@ from groundwalk.sfm.cameras.lenses import distortion_lists
 from groundwalk.sfm.cameras.model_adjustment import EXACT_SD, CameraLog
 from groundwalk.sfm.database import keypoint_counts
 from groundwalk.sfm.mapping.attempts import Attempt
-from groundwalk.sfm.mapping.built import BuiltModel, selected_models
 from groundwalk.sfm.mapping.held_out import held_out_medians
-from groundwalk.sfm.model import Model
+from groundwalk.sfm.model import BuiltModel, Model, selected_models
 from groundwalk.sfm.pairs.matched import are_verified, rows_of, status_of
 from groundwalk.sfm.quality.covariance import Covariances
 from groundwalk.sfm.settings import SfmSettings

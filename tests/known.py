@@ -1,11 +1,12 @@
 """What a test knows and types don't say: that a value is there, that a file is a picture, what a table's cells are;
-tables of any schema, and those of a run of profile tiny."""
+tables of any schema, and those of a run of profile tiny; import's frames as of images alone."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import cv2
+import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
@@ -72,3 +73,8 @@ def rewrite(data: DataRoot, scene: str, stage: str, table: str, content: pd.Data
 def note_outputs(folder: Path, **more: object) -> None:
     """Have a manifest say that the stage wrote what is there now, and more."""
     write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)} | more)
+
+
+def without_vio(frames: pd.DataFrame) -> pd.DataFrame:
+    """import.frames as of images alone: without VIO's poses and gravity."""
+    return frames.assign(**{c: np.nan for c in frames.columns if c.startswith(("vio_cam_", "gravity_"))})

@@ -97,6 +97,11 @@ class Scene:
         )
         return replace(self, images=images)
 
+    def part(self, rows: np.ndarray) -> "Scene":
+        """The same scene with some of its frames, in this order."""
+        frames, images = (table.iloc[rows].reset_index(drop=True) for table in (self.frames, self.images))
+        return replace(self, frames=frames, images=images, true_T_cam=self.true_T_cam[rows])
+
     def set_sfm(self, sfm_T_cam: np.ndarray) -> None:
         table = pose_frame("sfm_cam", sfm_T_cam)
         self.images[table.columns] = table

@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.alignment.components import PlacedComponent
+from groundwalk.alignment.reference.diagnosis import fit_if_any
 from groundwalk.alignment.reference.poses import Reference
-from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import pose_residuals
-from groundwalk.geometry.pose_similarity import PoseSimilarity, fit_similar_poses
+from groundwalk.geometry.pose_similarity import fit_similar_poses
 from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import LengthUnit, ReferenceAlignment, ScaleSource, VerticalSource
 from groundwalk.store.hints import setting_of
@@ -42,7 +42,7 @@ def agreement_table(
                         "component": component.index,
                         "frames": int((sessions == session_id).sum()),
                         "compared_frames": len(compared),
-                        "unit": reference.unit,
+                        "unit": LengthUnit.METRE if reference.is_metric else LengthUnit.UNKNOWN,
                         **_agreement(map_T_cam[compared], component.scale.is_known, reference, compared),
                     }
                 )
@@ -83,10 +83,7 @@ def describe_agreement(agreement: pd.DataFrame, ground_truth: pd.DataFrame) -> l
 
 def _agreement(map_T_cam: Array, is_scale_known: bool, reference: Reference, rows: np.ndarray) -> dict[str, object]:
     stated = reference.map_T_cam[rows]
-    try:
-        similarity: PoseSimilarity | None = fit_similar_poses(stated, map_T_cam)
-    except GeometryError:
-        similarity = None
+    similarity = fit_if_any(stated, map_T_cam)
     if reference.gives_map:
         kind, (position, rotation) = ReferenceAlignment.MODEL_SIM3, pose_residuals(stated, map_T_cam, np.eye(4))
     elif similarity is None:

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from groundwalk.alignment.reference.poses import extent_of
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.pose_conventions import POSE_CONVENTIONS
@@ -48,15 +49,12 @@ def explain(reference_T_cam: Array, sfm_T_cam: Array, frame_ids: np.ndarray, lim
     )
 
 
-def _fit(reference_T_cam: Array, sfm_T_cam: Array) -> PoseSimilarity | None:
+def fit_if_any(reference_T_cam: Array, sfm_T_cam: Array) -> PoseSimilarity | None:
+    """The similarity of poses (N, 4, 4); None where they don't determine one."""
     try:
         return fit_similar_poses(reference_T_cam, sfm_T_cam)
     except GeometryError:
         return None
-
-
-def _extent(world_T_cam: Array) -> float:
-    return float(np.linalg.norm(np.ptp(world_T_cam[:, :3, 3], axis=0)))
 
 
 def _convention(reference_T_cam: Array, sfm_T_cam: Array, limits: Limits) -> str:
@@ -67,8 +65,8 @@ def _convention(reference_T_cam: Array, sfm_T_cam: Array, limits: Limits) -> str
         (as_is, reference_T_cam),
         *((f"it agrees where {name}", change(reference_T_cam)) for name, change in POSE_CONVENTIONS),
     ):
-        fit = _fit(poses, sfm_T_cam)
-        if fit is not None and limits.agrees(fit, _extent(poses)):
+        fit = fit_if_any(poses, sfm_T_cam)
+        if fit is not None and limits.agrees(fit, extent_of(poses)):
             candidates.append((float(np.median(fit.rotation)), name))
     return min(candidates)[1] if candidates else ""
 
@@ -86,11 +84,11 @@ def _turned_cameras(reference_T_cam: Array, sfm_T_cam: Array, limits: Limits) ->
         )
         corrected = reference_T_cam.copy()
         corrected[:, :3, :3] = reference_T_cam[:, :3, :3] @ cam_R_stated.T
-        fit = _fit(corrected, sfm_T_cam)
+        fit = fit_if_any(corrected, sfm_T_cam)
         if fit is None:
             return ""
         turn = fit.a_S_b.rotation
-    if fit is None or not limits.agrees(fit, _extent(corrected)):
+    if fit is None or not limits.agrees(fit, extent_of(corrected)):
         return ""
     degrees = np.degrees(rotation_angle(cam_R_stated))
     alike = f"it agrees where all cameras are turned alike, by {degrees:.1f} degrees"
@@ -105,9 +103,9 @@ def _turned_cameras(reference_T_cam: Array, sfm_T_cam: Array, limits: Limits) ->
 
 def _bend(reference_T_cam: Array, sfm_T_cam: Array, frame_ids: np.ndarray, limits: Limits) -> str:
     """Where along the walk the two turn against each other most, by fits of parts of it."""
-    extent = _extent(reference_T_cam)
+    extent = extent_of(reference_T_cam)
     parts = np.array_split(np.arange(len(frame_ids)), int(np.clip(len(frame_ids) // _MIN_PART, 1, _MAX_PARTS)))
-    fits = [(part, _fit(reference_T_cam[part], sfm_T_cam[part])) for part in parts]
+    fits = [(part, fit_if_any(reference_T_cam[part], sfm_T_cam[part])) for part in parts]
     good = [(part, fit) for part, fit in fits if fit is not None and limits.agrees(fit, extent)]
     other_run = setting_of("sfm", 'lens = "stated"')
     undecided = (

@@ -13,7 +13,7 @@ from groundwalk.alignment.segments import Segment, registered_rows, sessions_of
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.pose_similarity import PoseSimilarity, fit_similar_poses
-from groundwalk.store.choices import CheckName, FailureCause
+from groundwalk.store.choices import CheckName, FailureCause, ScaleSource, VerticalSource
 
 # Real references, by depth or other SfM, are off by some per cent of a metre in a room and by more in a street.
 _MAX_ERROR_OF_EXTENT = 0.01
@@ -38,12 +38,14 @@ def fit_component(
     sfm_T_cam = np.concatenate([s.sfm_T_cam for s in segments])
     both = np.isfinite(sfm_T_cam[:, 0, 0]) & np.isfinite(reference.map_T_cam[rows, 0, 0])
     fit = fit_similar_poses(reference.map_T_cam[rows[both]], sfm_T_cam[both])
+    scale_by = ScaleSource.REFERENCE if reference.is_metric else ScaleSource.REFERENCE_UNIT_UNKNOWN
+    vertical_by = VerticalSource.REFERENCE if reference.is_up_known else VerticalSource.REFERENCE_UP_UNKNOWN
     component = Component(
         index=index,
         model_id=model_id,
         segments=segments,
-        scale=MapScale(float(np.log(fit.a_S_b.scale)), fit.scale_sd, {}, reference=reference.scale_source),
-        vertical=Vertical(fit.a_S_b.rotation[1], fit.turn_sd, {}, reference.vertical_source),
+        scale=MapScale(float(np.log(fit.a_S_b.scale)), fit.scale_sd, {}, reference=scale_by),
+        vertical=Vertical(fit.a_S_b.rotation[1], fit.turn_sd, {}, vertical_by),
         vio_scale=NO_SCALE,
     )
     return PlacedComponent(component, fit.a_S_b), rows[both], fit

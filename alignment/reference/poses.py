@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.geometry.poses import Array
-from groundwalk.store.choices import LengthUnit, ScaleSource, UpAxis, VerticalSource
+from groundwalk.store.choices import LengthUnit, UpAxis
 from groundwalk.store.tables import poses_of
 
 
@@ -44,21 +44,11 @@ class Reference:
         return replace(self, map_T_cam=self.map_T_cam[mask])
 
     @property
-    def scale_source(self) -> ScaleSource:
-        """What gives a map in this reference's frame its scale."""
-        return ScaleSource.REFERENCE if self.is_metric else ScaleSource.REFERENCE_UNIT_UNKNOWN
-
-    @property
-    def vertical_source(self) -> VerticalSource:
-        """What gives a map in this reference's frame its vertical."""
-        return VerticalSource.REFERENCE if self.is_up_known else VerticalSource.REFERENCE_UP_UNKNOWN
-
-    @property
-    def unit(self) -> LengthUnit:
-        return LengthUnit.METRE if self.is_metric else LengthUnit.UNKNOWN
-
-    @property
     def extent(self) -> float:
         """Diagonal of the box around the camera positions, in the reference's unit."""
-        xyz = self.map_T_cam[np.isfinite(self.map_T_cam[:, 0, 0]), :3, 3]
-        return float(np.linalg.norm(xyz.max(axis=0) - xyz.min(axis=0)))
+        return extent_of(self.map_T_cam[np.isfinite(self.map_T_cam[:, 0, 0])])
+
+
+def extent_of(world_T_cam: Array) -> float:
+    """Diagonal of the box around the positions of poses (N, 4, 4)."""
+    return float(np.linalg.norm(np.ptp(world_T_cam[:, :3, 3], axis=0)))

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.alignment.rulers.measurement import RulerDetections
-from groundwalk.alignment.rulers.settings import (
+from groundwalk.alignment.settings import (
     AprilTagRuler,
     CharucoRuler,
     DistanceRuler,

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.alignment.rulers.settings import DistanceRuler, Ruler
+from groundwalk.alignment.settings import DistanceRuler, Ruler
 from groundwalk.alignment.sfm_tables import covariances
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array

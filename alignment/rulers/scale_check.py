@@ -9,7 +9,7 @@ import pandas as pd
 from groundwalk.alignment.checks.results import CheckResult, Failure, Quantity, Subject, evaluate
 from groundwalk.alignment.components import Component, MapScale
 from groundwalk.alignment.rulers.measurement import RulerMeasurement
-from groundwalk.alignment.rulers.settings import DistanceRuler
+from groundwalk.alignment.settings import DistanceRuler
 from groundwalk.consistency.decisions import SIGMAS, Status, decide, within
 from groundwalk.geometry.rulers import RulerFit
 from groundwalk.store.choices import CheckName, FailureCause, RulerPart, ScaleSource

@@ -46,7 +46,7 @@ BUILTIN: dict[str, dict[str, str]] = {
             "video",
         )
     },
-    "groundwalk.mappers": _records("sfm.plugins", "incremental", "global", "hierarchical"),
+    "groundwalk.mappers": _records("sfm.plugins", "incremental", "global"),
     "groundwalk.structure_localisers": _records("localisation.entries", "Map", "HLoc", "HLoc-XFeat"),
     "groundwalk.regressors": _records("training.entries", "PN", "MS-T", "PN-Lite"),
     "groundwalk.fusion_methods": {

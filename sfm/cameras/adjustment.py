@@ -127,12 +127,8 @@ class Linearization:
     def over(self, noise_M: Array) -> "Linearization":
         """The same in units of each observation's noise (M,): residuals and derivatives are divided in place,
         for memory."""
-        for values in (
-            self.residual,
-            self.by_camera.reshape(len(noise_M), -1),
-            self.by_point.reshape(len(noise_M), -1),
-        ):
-            values /= noise_M[:, None]
+        for values in (self.residual, self.by_camera, self.by_point):
+            np.divide(values.T, noise_M, out=values.T)
         return self
 
 
@@ -522,15 +518,11 @@ def _inverse(adjusted: Adjusted, system: System) -> tuple[tuple[Array, Array], C
         def product(right: Array) -> Array:
             return np.asarray(inverse @ right)
 
-    focus, angular = _of_frames(loss_variance(adjusted.loss_px) * system.with_held(diagonal), cameras)
+    variances = loss_variance(adjusted.loss_px) * system.with_held(diagonal)
+    of_frame = variances[: _LOCAL * len(cameras.t_s)].reshape(-1, _LOCAL)
+    focus, angular = of_frame[:, _FOCUS], of_frame[:, _ANGULAR]
     focus[held], angular[held] = priors.focus_sd[cameras.session[held]] ** 2, priors.angular_sd[held] ** 2
     return (focus, angular), lambda right: system.with_held(product(right[system.free]))
-
-
-def _of_frames(unknowns: Array, cameras: Cameras) -> tuple[Array, Array]:
-    """The focus (N,) and angular velocity (N, 3) among all unknowns (10 N + G,)."""
-    of_frame = unknowns[: _LOCAL * len(cameras.t_s)].reshape(-1, _LOCAL)
-    return of_frame[:, _FOCUS], of_frame[:, _ANGULAR]
 
 
 def _normal_equations(adjusted: Adjusted) -> tuple[Linearization, Array, System]:

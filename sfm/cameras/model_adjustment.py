@@ -1,7 +1,7 @@
 """Adjusting a COLMAP model with the cameras of phones (module `adjustment`), and the file of the result."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -247,9 +247,9 @@ def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cam
 def save_adjusted(path: Path, adjusted: Adjusted, rows: Ints) -> None:
     """Write what `load_adjusted` reads."""
     arrays: dict[str, Any] = {"rows": rows, "loss_px": adjusted.loss_px, "noise": adjusted.noise}
-    for name, part in (("bundle", adjusted.bundle), ("cameras", adjusted.cameras), ("mean", adjusted.priors.mean)):
-        arrays |= {f"{name}.{f.name}": getattr(part, f.name) for f in fields(part)}
-    arrays |= {f"priors.{f.name}": getattr(adjusted.priors, f.name) for f in fields(CameraPriors) if f.name != "mean"}
+    parts = {"bundle": adjusted.bundle, "cameras": adjusted.cameras, "mean": adjusted.priors.mean}
+    for name, part in (parts | {"priors": adjusted.priors}).items():
+        arrays |= {f"{name}.{field}": value for field, value in vars(part).items() if field != "mean"}
     np.savez(path, **arrays)
 
 

@@ -15,10 +15,18 @@ import pycolmap
 
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.lens import undistort
-from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
 from groundwalk.sfm.cameras.lenses import PHONE_K1_K2, SceneLenses
-from groundwalk.sfm.database import Ints, Workspace, create_database, extract_features, image_id
+from groundwalk.sfm.database import (
+    Ints,
+    Workspace,
+    create_database,
+    extract_features,
+    image_id,
+    inverse_of,
+    keypoints_px,
+)
 from groundwalk.sfm.mapping.mappers import pipeline_options
 from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.matching import match_pairs
@@ -152,7 +160,7 @@ def _costs(opened: pycolmap.Database, a: int, b: int, lenses: Sequence[Array], s
     if len(matches) < _MIN_MATCHES:
         return [float("nan")] * len(lenses)
     stored_a, stored_b = (opened.read_camera(image_id(row)) for row in (a, b))
-    points_a, points_b = (opened.read_keypoints(image_id(row))[:, :2].astype(float) for row in (a, b))
+    points_a, points_b = (keypoints_px(opened, row) for row in (a, b))
     sd_px = _ERROR_SD * max(stored_a.width, stored_a.height)
     options = pycolmap.TwoViewGeometryOptions()
     options.ransac.random_seed, options.ransac.max_error = seed, _MAX_ERRORS * sd_px
@@ -166,8 +174,7 @@ def _costs(opened: pycolmap.Database, a: int, b: int, lenses: Sequence[Array], s
         if geometry.cam2_from_cam1 is None:
             costs.append(float("nan"))
             continue
-        b_T_a = geometry.cam2_from_cam1.matrix()
-        a_T_b = inverse(make_pose(b_T_a[:, :3], b_T_a[:, 3]))[None]
+        a_T_b = inverse_of(geometry.cam2_from_cam1)[None]
         ray_a, ray_b = _rays(camera_a, points_a[matches[:, 0]], lens), _rays(camera_b, points_b[matches[:, 1]], lens)
         error_px = sampson_px(a_T_b, ray_a, ray_b, np.array(camera_a.params[:2]), np.array(camera_b.params[:2]))
         error = np.nan_to_num(error_px, nan=np.inf) / sd_px

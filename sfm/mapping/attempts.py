@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.sfm.mapping.built import BuiltModel, selected_models
-from groundwalk.sfm.model import Model
+from groundwalk.sfm.model import BuiltModel, Model, selected_models
 from groundwalk.sfm.pairs.matched import are_verified
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import AttemptName, AttemptOutcome

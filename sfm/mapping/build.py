@@ -8,19 +8,17 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import numpy as np
 import pycolmap
 from scipy.linalg import LinAlgError
 
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, Held, save_adjusted, with_lenses_of
 from groundwalk.sfm.database import image_names, read_keypoints
-from groundwalk.sfm.mapping.built import BuiltModel, write_built
-from groundwalk.sfm.mapping.held_out import VerifiedPairs, read_matches, write_mapping_input
+from groundwalk.sfm.mapping.held_out import Matches, VerifiedPairs, read_matches, write_mapping_input
 from groundwalk.sfm.mapping.mappers import continued, from_poses
 from groundwalk.sfm.mapping.misplaced import adjust_without_misplaced
 from groundwalk.sfm.mapping.stated import StatedCheck, check_stated
-from groundwalk.sfm.model import renumbered
+from groundwalk.sfm.model import BuiltModel, add_image, renumbered, write_built
 from groundwalk.sfm.plugins import MAPPERS, MappingInput
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.child import Report
@@ -53,10 +51,7 @@ def build_models(
     model that its images don't determine isn't selected. The largest comes first, and its lenses are the prior of the
     others'. A stated lens is held unless the images deny it (module `stated`).
     """
-    write_mapping_input(verified, source.database, source.seed)
-    matches, keypoints = read_matches(source.database), read_keypoints(verified.features, len(verified.frames))
-    work = output.with_name(output.name + ".partial")
-    shutil.rmtree(work, ignore_errors=True)
+    work, matches, keypoints = _begun(verified, source, output)
     built = _map(report, source, len(keypoints), settings.mapper, start_T_cam, work)
     assigned: set[int] = set()
     names = itertools.chain(["model"], (f"model_{number}" for number in itertools.count(2)))
@@ -84,7 +79,21 @@ def build_models(
         model.write_binary(work / name)
         one = BuiltModel.of(entry.mapping, entry.number, model)
         built[index] = (replace(one, misplaced=misplaced, stated=[*map(asdict, checks)], folder=name), model)
-    write_built(work, [entry for entry, _ in built])
+    _finish(work, [entry for entry, _ in built], output)
+
+
+def _begun(verified: VerifiedPairs, source: MappingInput, output: Path) -> tuple[Path, Matches, list[Array]]:
+    """The folder, still empty, that becomes the output, the matches that are mapped and held out, and all frames'
+    keypoints as extracted."""
+    work = output.with_name(output.name + ".partial")
+    shutil.rmtree(work, ignore_errors=True)
+    work.mkdir(parents=True)
+    write_mapping_input(verified, source.database, source.seed)
+    return work, read_matches(source.database), read_keypoints(verified.features, len(verified.frames))
+
+
+def _finish(work: Path, built: Sequence[BuiltModel], output: Path) -> None:
+    write_built(work, built)
     shutil.rmtree(output, ignore_errors=True)
     work.rename(output)
 
@@ -99,7 +108,7 @@ def _map(
     def report_one() -> None:
         report(min(next(registered), frames))
 
-    (work / mapper).mkdir(parents=True)
+    (work / mapper).mkdir()
     if start_T_cam is not None:
         mapper, models = "posed", [from_poses(source, start_T_cam, work / mapper)]
     else:
@@ -137,15 +146,10 @@ def extend_models(
     COLMAP finds the poses. Of its adjustments, which move points, only these are kept, with which features are of one
     point; then the new frames and points are adjusted, the others held, and misplaced frames taken out.
     """
-    work = output.with_name(output.name + ".partial")
-    shutil.rmtree(work, ignore_errors=True)
-    work.mkdir(parents=True)
-    frames = verified.frames
-    write_mapping_input(verified, source.database, source.seed)
-    matches, keypoints = read_matches(source.database), read_keypoints(verified.features, len(frames))
+    work, matches, keypoints = _begun(verified, source, output)
     built, taken, registered = [], set[int](), itertools.count(1)
     for number, one in enumerate(finished[1]):
-        model = renumbered(finished[0] / one.folder, image_names(frames))
+        model = renumbered(finished[0] / one.folder, image_names(verified.frames))
         held = Held(frozenset(model.reg_frame_ids()), frozenset(model.points3D))
         mapped: list[pycolmap.Reconstruction] = []
         if len(verified.pairs):  # without one there is nothing to add
@@ -167,19 +171,13 @@ def extend_models(
         model.write_binary(work / one.folder)
         grown = BuiltModel.of(one.mapping, one.number, model)
         built.append(replace(grown, misplaced=misplaced, stated=[*map(asdict, checks)], folder=one.folder))
-    write_built(work, built)
-    shutil.rmtree(output, ignore_errors=True)
-    work.rename(output)
+    _finish(work, built, output)
 
 
 def _attach(model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction, added: Sequence[int]) -> None:
     """Add frames that `mapped`, which goes on from `model`, has registered, and what they see."""
     for i in added:
-        image = mapped.image(i)
-        model.add_camera_with_trivial_rig(mapped.camera(image.camera_id))
-        keypoints = np.array([p.xy for p in image.points2D]).reshape(-1, 2)
-        copied = pycolmap.Image(name=image.name, keypoints=keypoints, camera_id=image.camera_id, image_id=i)
-        model.add_image_with_trivial_frame(copied, image.cam_from_world())
+        add_image(model, mapped, i, i)
     new = set(added)
     for point in mapped.points3D.values():
         elements = [(e.image_id, e.point2D_idx) for e in point.track.elements if model.exists_image(e.image_id)]

@@ -11,7 +11,6 @@ from groundwalk.sfm.database import image_id
 from groundwalk.sfm.plugins import MappingInput
 
 MIN_MODEL_FRAMES = 3
-_LEAF_IMAGES = 200
 _EXPLAINED_FRACTION = 0.001  # of an image's longer side
 _ANY_COEFFICIENT = 1e9
 # VIO's own errors over a few metres, seen from a few metres: first generous, then as strict as mapping is.
@@ -102,17 +101,6 @@ def global_mapping(source: MappingInput, folder: Path, registered: Callable[[], 
     adjustment.refine_focal_length = adjustment.refine_extra_params = False
     options.min_model_size = MIN_MODEL_FRAMES
     return _listed(pycolmap.global_mapping(source.database, source.images, folder, options))
-
-
-def hierarchical_mapping(
-    source: MappingInput, folder: Path, registered: Callable[[], None]
-) -> list[pycolmap.Reconstruction]:
-    """COLMAP's hierarchical mapping: clusters of images mapped incrementally, then merged."""
-    options = pycolmap.HierarchicalPipelineOptions()
-    options.num_threads = options.num_workers = 1
-    options.incremental_options = pipeline_options(source)
-    options.clustering_options.leaf_max_num_images = _LEAF_IMAGES
-    return _listed(pycolmap.hierarchical_mapping(source.database, source.images, folder, options))
 
 
 def pipeline_options(source: MappingInput) -> pycolmap.IncrementalPipelineOptions:

@@ -20,7 +20,7 @@ from groundwalk.geometry.epipolar import essential
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.lenses import SceneLenses, lines_of, to_middle_row
 from groundwalk.sfm.cameras.motion import Motion
-from groundwalk.sfm.database import Ints, Workspace, image_id
+from groundwalk.sfm.database import Ints, Workspace, image_id, keypoints_px
 from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.matching import mutual_matches
 from groundwalk.sfm.pairs.odometry import Odometry
@@ -50,15 +50,19 @@ class FloorFeatures:
     descriptors: NDArray[np.uint8]
 
 
-@dataclass(frozen=True)
-class FloorSource:
-    """The database with the features as extracted, where the images are, and their N frames with cameras and motion."""
+@dataclass(frozen=True, kw_only=True)
+class PairSource:
+    """What pairs of frames are matched by: their database, and that of the features as extracted; where the images are;
+    their N frames with cameras, motion and VIO; and the seed."""
 
+    database: Path
     features: Path
     work: Workspace
     frames: pd.DataFrame
     lenses: SceneLenses
     motion: Motion
+    vio: Odometry
+    seed: int
 
 
 def floor_features(grey: NDArray[np.uint8], camera: pycolmap.Camera, gravity: Array) -> FloorFeatures:
@@ -104,16 +108,15 @@ def floor_matches(a: FloorFeatures, b: FloorFeatures) -> Ints:
     return matches[fits.ravel() > 0] if 1 / _MAX_HEIGHT_RATIO < height_ratio < _MAX_HEIGHT_RATIO else none
 
 
-def match_floor(
-    report: Report, database: Path, source: FloorSource, vio: Odometry, pairs: Pairs, verified_P: NDArray[np.bool_]
-) -> None:
+def match_floor(report: Report, source: PairSource, pairs: Pairs, verified_P: NDArray[np.bool_]) -> None:
     """Match the floor in pairs of rows (P, 2), of one session each and with poses and gravity by VIO.
 
     Where enough of it matches, the pair's relative pose is fitted to that and to its inliers, or all its matches where
     it isn't verified (P,), from VIO's on; what fits the pose are its inliers. The frames of such pairs get the floor's
-    keypoints behind their own, in `database` and as extracted, without descriptors there. Doing it again changes
+    keypoints behind their own, in the database and as extracted, without descriptors there. Doing it again changes
     nothing.
     """
+    database, vio = source.database, source.vio
     with pycolmap.Database.open(database) as opened:
         cameras = {row: opened.read_camera(image_id(row)) for row in np.unique(pairs).tolist()}
 
@@ -139,8 +142,7 @@ def match_floor(
     _append_keypoints(database, at_middle_row)
     with pycolmap.Database.open(database) as opened, pycolmap.DatabaseTransaction(opened):
         described = {row: opened.num_descriptors_for_image(image_id(row)) for row in rows}
-        keypoints = {row: opened.read_keypoints(image_id(row))[:, :2].astype(float) for row in rows}
-        rays = {row: np.asarray(cameras[row].cam_from_img(keypoints[row])) for row in rows}
+        rays = {row: np.asarray(cameras[row].cam_from_img(keypoints_px(opened, row))) for row in rows}
         for number in tied:
             a, b = pairs[number].tolist()
             geometry = opened.read_two_view_geometry(image_id(a), image_id(b))

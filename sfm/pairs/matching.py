@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry.epipolar import epipolar_px
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.database import Ints, has_results, image_id
+from groundwalk.sfm.database import Ints, has_results, image_id, keypoints_px
 from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.matched import MIN_INLIERS
 from groundwalk.store.child import Report
@@ -38,6 +38,13 @@ def match_pairs(report: Report, database: Path, pairs: Pairs, seed: int) -> None
     options.ransac.random_seed = seed
     options.ransac.min_num_trials = _MIN_RANSAC_TRIALS
 
+    def match(
+        a: _Image, b: _Image, known: NDArray[np.uint32] | None
+    ) -> tuple[NDArray[np.uint32], pycolmap.TwoViewGeometry]:
+        matches = mutual_matches(a.descriptors, b.descriptors) if known is None else known
+        ends = (a.camera, a.keypoints, b.camera, b.keypoints)
+        return matches, pycolmap.estimate_two_view_geometry(*ends, matches, options)
+
     is_done = has_results(database, pairs)
     todo = pairs[~is_done]
     for start in range(0, len(todo), _CHUNK):
@@ -54,20 +61,8 @@ def match_pairs(report: Report, database: Path, pairs: Pairs, seed: int) -> None
                 for a, b in chunk
                 if opened.exists_matches(image_id(a), image_id(b))
             }
-
-            def match(
-                pair: list[int],
-                images: dict[int, _Image] = images,
-                known: dict[tuple[int, int], NDArray[np.uint32]] = known,
-            ) -> tuple[NDArray[np.uint32], pycolmap.TwoViewGeometry]:
-                a, b = (images[row] for row in pair)
-                matches = known.get((pair[0], pair[1]))
-                if matches is None:
-                    matches = mutual_matches(a.descriptors, b.descriptors)
-                ends = (a.camera, a.keypoints, b.camera, b.keypoints)
-                return matches, pycolmap.estimate_two_view_geometry(*ends, matches, options)
-
-            for (a, b), (matches, geometry) in zip(chunk, pool.map(match, chunk), strict=True):
+            jobs = [(images[a], images[b], known.get((a, b))) for a, b in chunk]
+            for (a, b), (matches, geometry) in zip(chunk, pool.map(lambda job: match(*job), jobs), strict=True):
                 if (a, b) not in known:
                     opened.write_matches(image_id(a), image_id(b), matches)
                 opened.write_two_view_geometry(image_id(a), image_id(b), geometry)
@@ -91,25 +86,10 @@ def guide_pairs(report: Report, database: Path, pairs: Pairs) -> None:
                 for a, b in chunk
                 if (geometry := opened.read_two_view_geometry(image_id(a), image_id(b))).config == calibrated
             }
-
-            def guided(
-                pair: tuple[int, int],
-                images: dict[int, _Image] = images,
-                geometries: dict[tuple[int, int], pycolmap.TwoViewGeometry] = geometries,
-            ) -> NDArray[np.uint32]:
-                a, b = (images[row] for row in pair)
-                essential = geometries[pair].E
-                assert essential is not None
-                limit_px = _GUIDE * max(a.camera.width, a.camera.height)
-
-                def fits(i: Ints, j: Ints) -> NDArray[np.bool_]:
-                    return epipolar_px(essential, a.rays[i], b.rays[j], a.focal, b.focal) <= limit_px
-
-                return guided_matches(a.descriptors, b.descriptors, fits)
-
             with ThreadPoolExecutor(usable_cores()) as pool:
-                for (a, b), inliers in zip(geometries, pool.map(guided, geometries), strict=True):
-                    geometry = geometries[a, b]
+                jobs = [(images[a], images[b], geometry) for (a, b), geometry in geometries.items()]
+                found = pool.map(lambda job: _guided(*job), jobs)
+                for ((a, b), geometry), inliers in zip(geometries.items(), found, strict=True):
                     described = [len(images[a].descriptors), len(images[b].descriptors)]
                     others = geometry.inlier_matches[(geometry.inlier_matches >= described).all(axis=1)]
                     geometry.inlier_matches = np.concatenate([inliers, others])
@@ -141,11 +121,21 @@ def _images(database: pycolmap.Database, pairs: list[list[int]]) -> dict[int, _I
     return {
         row: _Image(
             database.read_camera(database.read_image(image_id(row)).camera_id),
-            database.read_keypoints(image_id(row))[:, :2].astype(float),
+            keypoints_px(database, row),
             database.read_descriptors(image_id(row)).data.astype(np.float32),
         )
         for row in sorted({row for pair in pairs for row in pair})
     }
+
+
+def _guided(a: _Image, b: _Image, geometry: pycolmap.TwoViewGeometry) -> NDArray[np.uint32]:
+    essential, limit_px = geometry.E, _GUIDE * max(a.camera.width, a.camera.height)
+    assert essential is not None
+
+    def fits(i: Ints, j: Ints) -> NDArray[np.bool_]:
+        return epipolar_px(essential, a.rays[i], b.rays[j], a.focal, b.focal) <= limit_px
+
+    return guided_matches(a.descriptors, b.descriptors, fits)
 
 
 def mutual_matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.uint32]:

@@ -9,8 +9,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.epipolar import sampson_px
-from groundwalk.geometry.poses import Array, inverse, make_pose, relative
-from groundwalk.sfm.database import image_id
+from groundwalk.geometry.poses import Array, make_pose, relative
+from groundwalk.sfm.database import image_id, inverse_of, keypoints_px
 from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.odometry import Odometry, compare_with_vio, without_tilted
 from groundwalk.store.choices import PairInconsistency
@@ -33,15 +33,13 @@ def compare_pairs(database: Path, pairs: Pairs, vio: Odometry) -> tuple[Array, p
     with pycolmap.Database.open(database) as opened:
         rows = np.unique(pairs).tolist()
         cameras = {row: opened.read_camera(image_id(row)) for row in rows}
-        keypoints = {row: opened.read_keypoints(image_id(row))[:, :2].astype(float) for row in rows}
+        keypoints = {row: keypoints_px(opened, row) for row in rows}
         for index, (a, b) in enumerate(pairs.tolist()):
             geometry = opened.read_two_view_geometry(image_id(a), image_id(b))
             ends = (cameras[a], keypoints[a], cameras[b], keypoints[b])
             if pycolmap.estimate_two_view_geometry_pose(*ends, geometry):
                 assert geometry.cam2_from_cam1 is not None
-                b_T_a = geometry.cam2_from_cam1.matrix()
-                a_T_b[index] = inverse(make_pose(b_T_a[:, :3], b_T_a[:, 3]))
-                angle[index] = geometry.tri_angle
+                a_T_b[index], angle[index] = inverse_of(geometry.cam2_from_cam1), geometry.tri_angle
         vio = without_tilted(vio, pairs, a_T_b)
         compared = compare_with_vio(pairs, a_T_b, angle, vio)
         for index in np.flatnonzero(compared["reason"] != PairInconsistency.NONE).tolist():

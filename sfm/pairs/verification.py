@@ -10,7 +10,6 @@ import itertools
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,14 +19,13 @@ from numpy.typing import NDArray
 
 from groundwalk.consistency.motions import MISTAKE_ADVICE, MISTAKE_REASONS, compare_motions
 from groundwalk.geometry.poses import Array, path_length, relative
-from groundwalk.sfm.database import Ints, Workspace, has_results, image_id, read_pair_results
+from groundwalk.sfm.database import Ints, has_results, image_id, read_pair_results
 from groundwalk.sfm.mapping.held_out import VerifiedPairs, write_mapping_input
 from groundwalk.sfm.mapping.mappers import incremental_mapping
 from groundwalk.sfm.pairs.candidates import broken_links, first_origins
-from groundwalk.sfm.pairs.floor import FloorSource, match_floor
+from groundwalk.sfm.pairs.floor import PairSource, match_floor
 from groundwalk.sfm.pairs.matched import LINK_INLIERS, MIN_INLIERS, are_verified, are_weak, matched_pairs, rows_of
 from groundwalk.sfm.pairs.matching import guide_pairs, match_pairs
-from groundwalk.sfm.pairs.odometry import Odometry
 from groundwalk.sfm.pairs.selection import Proposals, pairs_of_chains
 from groundwalk.sfm.pairs.two_views import compare_pairs
 from groundwalk.sfm.plugins import MappingInput
@@ -50,26 +48,20 @@ _MIN_AGREEING = 0.5
 
 
 def match_proposals(
-    settings: SfmSettings,
-    vio: Odometry,
-    proposals: Proposals,
-    database: Path,
-    work: Workspace,
-    seed: int,
-    is_new: NDArray[np.bool_],
+    settings: SfmSettings, source: PairSource, proposals: Proposals, is_new: NDArray[np.bool_]
 ) -> pd.DataFrame:
     """Match and verify the proposals, then pairs that both match a third frame (module `matched`); only pairs with a
     new frame (N,)."""
     proposals = [(origin, pairs[is_new[pairs].any(axis=1)]) for origin, pairs in proposals]
 
     def match(text: str) -> pd.DataFrame:
-        pairs, origin = first_origins(proposals, len(vio.session))
-        if not has_results(database, pairs).all():
-            work.in_child(text, Task(match_pairs, (database, pairs, seed), len(pairs)))
-        return matched_pairs(pairs, origin, *read_pair_results(database, pairs))
+        pairs, origin = first_origins(proposals, len(source.frames))
+        if not has_results(source.database, pairs).all():
+            source.work.in_child(text, Task(match_pairs, (source.database, pairs, source.seed), len(pairs)))
+        return matched_pairs(pairs, origin, *read_pair_results(source.database, pairs))
 
     matched = match("matching pairs")
-    chains = pairs_of_chains(settings, vio, rows_of(matched), matched["inliers"].to_numpy(np.int64))
+    chains = pairs_of_chains(settings, source.vio, rows_of(matched), matched["inliers"].to_numpy(np.int64))
     chains = chains[is_new[chains].any(axis=1)]
     if len(chains):
         proposals = [*proposals, (PairOrigin.TRANSITIVE, chains)]
@@ -77,14 +69,14 @@ def match_proposals(
     return matched
 
 
-def compared_with_vio(matched: pd.DataFrame, vio: Odometry, database: Path) -> pd.DataFrame:
+def compared_with_vio(matched: pd.DataFrame, source: PairSource) -> pd.DataFrame:
     """The pairs with enough inliers compared with VIO. UserError where most of a session's are inconsistent: then its
     input is wrong, not its pairs."""
     columns = (matched[name].to_numpy() for name in ("origin", "matches", "inliers"))
-    matched = matched_pairs(rows_of(matched), *columns)
+    matched, vio = matched_pairs(rows_of(matched), *columns), source.vio
     rows = np.flatnonzero(matched["inliers"] >= MIN_INLIERS)
     pairs = rows_of(matched)[rows]
-    a_T_b, compared = compare_pairs(database, pairs, vio)
+    a_T_b, compared = compare_pairs(source.database, pairs, vio)
     is_wrong = (compared["reason"] != PairInconsistency.NONE).to_numpy()
     for name in np.unique(vio.session):
         members = (vio.session[pairs] == name).all(axis=1) & compared["rotation"].notna().to_numpy()
@@ -106,45 +98,30 @@ def compared_with_vio(matched: pd.DataFrame, vio: Odometry, database: Path) -> p
     return matched
 
 
-def compared_with_neighbours(
-    matched: pd.DataFrame,
-    is_alone_N: NDArray[np.bool_],
-    vio: Odometry,
-    source: FloorSource,
-    database: Path,
-    work: Workspace,
-    seed: int,
-) -> pd.DataFrame:
+def compared_with_neighbours(matched: pd.DataFrame, is_alone_N: NDArray[np.bool_], source: PairSource) -> pd.DataFrame:
     """Verified pairs of images that are alone, without any pose, and far apart in the order of their recording,
     compared with the map that neighbours make."""
-    order = np.lexsort((vio.t_ns, vio.recording.astype(str)))
-    is_next_recording = vio.recording[order[1:]] != vio.recording[order[:-1]]
+    recording, work = source.vio.recording, source.work
+    order = np.lexsort((source.vio.t_ns, recording.astype(str)))
+    is_next_recording = recording[order[1:]] != recording[order[:-1]]
     place_N = np.empty(len(order), np.int64)
     place_N[order] = np.arange(len(order)) + (NEXT + 1) * np.cumsum(np.concatenate([[False], is_next_recording]))
-    a, b = rows_of(matched).T
-    rows = np.flatnonzero(are_verified(matched) & is_alone_N[a] & (vio.recording[a] == vio.recording[b]))
+    pairs = rows_of(matched)
+    a, b = pairs.T
+    rows = np.flatnonzero(are_verified(matched) & is_alone_N[a] & (recording[a] == recording[b]))
     if not (np.abs(place_N[a[rows]] - place_N[b[rows]]) > NEXT).any():
         return matched
-    pairs = VerifiedPairs(
-        frames=source.frames, pairs=rows_of(matched)[rows], matched=database, features=source.features
-    )
-    arguments = (pairs, place_N, MappingInput(work.scratch / "neighbours.db", work.images, seed))
+    verified = VerifiedPairs(frames=source.frames, pairs=pairs[rows], matched=source.database, features=source.features)
+    arguments = (verified, place_N, MappingInput(work.scratch / "neighbours.db", work.images, source.seed))
     is_wrong = work.in_child("mapping neighbours", Task(contradicted_pairs, arguments, int(is_alone_N.sum())))
     matched.loc[matched.index[rows[is_wrong]], "reason"] = PairInconsistency.NEIGHBOURS
     return matched
 
 
-def with_floor_matches(
-    matched: pd.DataFrame,
-    source: FloorSource,
-    vio: Odometry,
-    database: Path,
-    work: Workspace,
-    say: Callable[[str], None],
-) -> pd.DataFrame:
+def with_floor_matches(matched: pd.DataFrame, source: PairSource, say: Callable[[str], None]) -> pd.DataFrame:
     """Weak pairs matched by the floor, too, in recordings of which neighbouring frames have no verified pair that could
     link them: there a model would break. They were compared with VIO, and are to be again."""
-    pairs = rows_of(matched)
+    pairs, vio = rows_of(matched), source.vio
     is_link = are_verified(matched) & (matched["inliers"] >= LINK_INLIERS).to_numpy()
     broken = broken_links(vio.recording, vio.t_ns, pairs[is_link])
     within = vio.session[pairs[:, 0]] == vio.session[pairs[:, 1]]
@@ -154,9 +131,9 @@ def with_floor_matches(
     chosen = are_weak(matched) & can_be_drawn[pairs].all(axis=1) & within
     if not chosen.any():
         return matched
-    arguments = (database, source, vio, pairs[chosen], are_verified(matched)[chosen])
-    work.in_child("matching the floor", Task(match_floor, arguments, int(chosen.sum())))
-    inliers = read_pair_results(database, pairs)[1]
+    arguments = (source, pairs[chosen], are_verified(matched)[chosen])
+    source.work.in_child("matching the floor", Task(match_floor, arguments, int(chosen.sum())))
+    inliers = read_pair_results(source.database, pairs)[1]
     frames = source.frames["frame_id"]
     links = [f"{frames[first]} and {frames[second]}" for first, second in broken.tolist()]
     say(
@@ -167,17 +144,15 @@ def with_floor_matches(
     return matched.assign(inliers=inliers)
 
 
-def with_guided_matches(
-    matched: pd.DataFrame, compared: pd.DataFrame, vio: Odometry, database: Path, work: Workspace
-) -> pd.DataFrame:
+def with_guided_matches(matched: pd.DataFrame, compared: pd.DataFrame, source: PairSource) -> pd.DataFrame:
     """Weak pairs with enough inliers matched a second time, along their epipolar lines; compared with VIO again where
     inliers of any pair have changed since they were `compared`."""
     pairs = rows_of(matched)
     chosen = pairs[are_weak(matched) & (matched["inliers"] >= MIN_INLIERS).to_numpy()]
     if len(chosen):
-        work.in_child("matching weak pairs", Task(guide_pairs, (database, chosen), len(chosen)))
-    matched = matched.assign(inliers=read_pair_results(database, pairs)[1])
-    return matched if matched["inliers"].equals(compared["inliers"]) else compared_with_vio(matched, vio, database)
+        source.work.in_child("matching weak pairs", Task(guide_pairs, (source.database, chosen), len(chosen)))
+    matched = matched.assign(inliers=read_pair_results(source.database, pairs)[1])
+    return matched if matched["inliers"].equals(compared["inliers"]) else compared_with_vio(matched, source)
 
 
 def contradicted_pairs(

@@ -9,10 +9,9 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from groundwalk.alignment.checks.depth import check_depth
 from groundwalk.alignment.checks.results import with_status
 from groundwalk.alignment.components import NO_SCALE, Component, MapScale, PlacedComponent, Vertical
-from groundwalk.alignment.depth import agreement_table, has_depth, read_depth, sample_frames
+from groundwalk.alignment.depth import agreement_table, check_depth, read_depth, sample_frames
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
@@ -138,7 +137,6 @@ def test_too_little_depth_judges_nothing(scene: Placed, tmp_path: Path) -> None:
     (decided, *_), _ = check_depth(agreement_table(samples_of((frames, images, placed), tmp_path, 1.3), seed=0))
     assert decided.status == "failed"
     frames["depth"] = None
-    assert not has_depth(frames)
     assert not len(agreement_table(samples_of((frames, images, placed), tmp_path), seed=0))
 
 

@@ -22,11 +22,10 @@ from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, yaw_rotation
 from groundwalk.store import DataRoot, execute
 from groundwalk.store.choices import VerticalSource
-from groundwalk.store.files import write_json
 from groundwalk.store.georeference import FILE, Georeference, read_georeference
-from groundwalk.store.manifests import output_hashes
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import poses_of, read_table, write_table
+from groundwalk.store.tables import poses_of, read_table
+from tests.known import rewrite, table_of, without_vio
 from tests.synthetic_walks import Scene, Walks
 
 ORIGIN = (-17.8568, 179.9999, 40.0)  # some of it is beyond 180 degrees
@@ -99,7 +98,7 @@ def test_positions_give_a_map_of_images_alone_scale_and_vertical(walks: Walks) -
     """And the georeference's bounds have the scale's error in them still."""
     scene = walks.make(seed=2, frames=120)
     gps = fixes(scene, 2)
-    scene.frames[[c for c in scene.frames.columns if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    scene.frames = without_vio(scene.frames)
     frames = scene.frames.assign(clock="boot")
 
     def placed_and_found(given: GivenFrame) -> tuple[PlacedComponent, Georeference]:
@@ -158,18 +157,16 @@ def test_a_walk_of_another_place_among_three_and_rough_positions_are_left_out(wa
 def test_align_places_a_map_whose_import_kept_positions(data: DataRoot, capsys: pytest.CaptureFixture[str]) -> None:
     """Into a file of its own; without positions none; where they are too rough, the file has the reason alone."""
     execute(STAGE, "Place", "tiny", data)
-    align, imported = data.run("tiny", "Place", "align"), data.run("tiny", "Place", "import")
+    align = data.run("tiny", "Place", "align")
     assert not (align / FILE).exists()
     truth = read_table(data.captures("Place") / "true_poses.parquet", schema("simulate", "true_poses"))
-    frames = read_table(imported / "frames.parquet", schema("import", "frames"))
+    frames = table_of(data, "Place", "import", "frames")
     scene = Scene(frames, frames, frames, poses_of(truth, "map_cam"), np.ones(1))
-    sessions = read_table(imported / "sessions.parquet", schema("import", "sessions")).set_index("session_id")
+    sessions = table_of(data, "Place", "import", "sessions").set_index("session_id")
     for accuracy_m, placed in ((2.0, True), (65.0, False)):
         gps = fixes(scene, 0, accuracy_m)
         gps["recording"] = gps["recording"].map(sessions["recording"])
-        write_table(imported / "gps.parquet", gps, schema("import", "gps"))
-        manifest = json.loads((imported / "manifest.json").read_text())
-        write_json(imported / "manifest.json", manifest | {"outputs": output_hashes(imported)})
+        rewrite(data, "Place", "import", "gps", gps)
         execute(STAGE, "Place", "tiny", data, force=True)
         found, said = read_georeference(align), capsys.readouterr().err
         assert ("georeference by gps: " in said) == placed and (found is not None) == placed

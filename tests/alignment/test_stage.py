@@ -20,7 +20,8 @@ from groundwalk.geometry.poses import make_pose, yaw_rotation
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema, stage_tables
-from groundwalk.store.tables import read_table, write_table
+from groundwalk.store.tables import pose_columns, read_table
+from tests.known import put, table_of
 
 
 @pytest.fixture(scope="module")
@@ -69,12 +70,10 @@ def _check_recording(path: Path, gt: pd.DataFrame) -> None:
 
 
 def test_a_refused_run_says_where_its_plot_is(data: DataRoot) -> None:
-    path = data.run("tiny", "Place", "sfm") / "images.parquet"
-    images = read_table(path, schema("sfm", "images"))
-    poses = pose_columns_of(images, "sfm_cam")
+    images, poses = table_of(data, "Place", "sfm", "images"), pose_columns("sfm_cam")
     # All steps in another order than VIO's.
     images[poses] = images[poses].to_numpy()[np.random.default_rng(1).permutation(len(images))]
-    write_table(path, images, schema("sfm", "images"))
+    put(data, "Place", "sfm", "images", images)
     with pytest.raises(UserError, match="images and poses mismatched") as error:
         execute(STAGE, "Place", "tiny", data)
     plot = Path(str(error.value.details["do"]).removeprefix("look at ").split(";")[0])
@@ -82,10 +81,6 @@ def test_a_refused_run_says_where_its_plot_is(data: DataRoot) -> None:
     checks = read_table(plot.with_name("checks.parquet"), schema("align", "checks"))
     assert "images and poses mismatched" in set(checks["cause"])
     assert not (data.run("tiny", "Place", "align") / "manifest.json").exists()
-
-
-def pose_columns_of(table: pd.DataFrame, prefix: str) -> list[str]:
-    return [name for name in table.columns if name.startswith(f"{prefix}_")]
 
 
 def test_check_truth_prints_its_targets_and_says_what_is_missed(aligned: DataRoot, tmp_path: Path) -> None:
@@ -96,11 +91,9 @@ def test_check_truth_prints_its_targets_and_says_what_is_missed(aligned: DataRoo
     assert good.exit_code == 0, good.output
     assert good.output.count("ok") == 11 and "metric scale error" in good.output
 
-    path = data.run("tiny", "Place", "align") / "ground_truth.parquet"
-    gt = read_table(path, schema("align", "ground_truth"))
-    gt["map_cam_tx"] *= 1.02
-    gt[["map_cam_ty", "map_cam_tz"]] *= 1.02
-    write_table(path, gt, schema("align", "ground_truth"))
+    gt = table_of(data, "Place", "align", "ground_truth")
+    gt[["map_cam_tx", "map_cam_ty", "map_cam_tz"]] *= 1.02
+    put(data, "Place", "align", "ground_truth", gt)
     bad = CliRunner().invoke(app, arguments)
     # A map 2 % too large misses the target for scale, and its own 95 % bounds.
     assert bad.exit_code == 1 and bad.output.count("missed") == 2

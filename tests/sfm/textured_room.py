@@ -15,7 +15,8 @@ from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.store import DataRoot
 from groundwalk.store.files import hash_files, sha256_of
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
+from groundwalk.store.tables import pose_frame, poses_of, write_table
+from tests.known import put, table_of
 
 SIZE_PX = (320, 240)
 FOCAL_PX = 260.0
@@ -40,7 +41,12 @@ class Room:
 
     def note_images(self) -> None:
         """Note the images as they are now in import's table, as if import had seen them so."""
-        _note_images(self.data)
+        folder = self.data.run("tiny", "room", "import")
+        frames = table_of(self.data, "room", "import", "frames")
+        hashes = [sha256_of(self.data.captures("room") / image) for image in frames["image"]]
+        put(self.data, "room", "import", "frames", frames.assign(image_sha256=hashes))
+        manifest = {"key": "test", "simulated": False, "outputs": hash_files(folder, folder.glob("*.parquet"))}
+        (folder / "manifest.json").write_text(json.dumps(manifest))
 
     def errors_m(self, images: pd.DataFrame) -> Array:
         """How far the positions (N, 3) of a model's frames are from the true ones, as it fits these best."""
@@ -60,18 +66,18 @@ def make_room(folder: Path, per_walk: int = 7, same_place: bool = True) -> Room:
     walks = {"one": _walk(per_walk, 1.5, 2.6), "two": _walk(per_walk, 1.2, 2.2)}
     tables = []
     for number, (session, poses) in enumerate(walks.items()):
-        seed = 0 if same_place else 10 * number
-        textures = [_texture(_length(u), _length(v), seed + i) for i, (_, u, v) in enumerate(_WALLS)]
+        textures = _textures(0 if same_place else 10 * number)
         tables.append(_frames(data, session, poses, [_photograph(textures, pose) for pose in poses]))
     frames = pd.concat(tables, ignore_index=True)
     _write_import(data, frames, list(walks))
-    return Room(data, frames, np.concatenate(list(walks.values())))
+    room = Room(data, frames, np.concatenate(list(walks.values())))
+    room.note_images()
+    return room
 
 
 def make_recording(folder: Path, count: int, height_m: float, distance_m: float, seed: int = 0) -> Array:
     """A walk in the room, or for another seed one of other walls, as a capture with VIO; its true room_T_cam."""
-    textures = [_texture(_length(u), _length(v), seed + i) for i, (_, u, v) in enumerate(_WALLS)]
-    room_T_cam = _walk(count, height_m, distance_m)
+    textures, room_T_cam = _textures(seed), _walk(count, height_m, distance_m)
     rows: list[dict[str, Any]] = [{"groundwalk": "frames", "version": 1, "device": "phone", "clock": "boot"}]
     folder.mkdir(parents=True)
     camera = {"fx": FOCAL_PX, "fy": FOCAL_PX, "cx": SIZE_PX[0] / 2, "cy": SIZE_PX[1] / 2}
@@ -118,8 +124,10 @@ def _walk(count: int, height_m: float, distance_m: float) -> Array:
     return make_pose(np.stack([right, np.cross(forward, right), forward], axis=2), centre)
 
 
-def _length(side: tuple[float, ...]) -> float:
-    return float(np.linalg.norm(side))
+def _textures(seed: int) -> list[np.ndarray]:
+    """A texture for each wall."""
+    lengths_m = [[float(np.linalg.norm(side)) for side in sides] for _, *sides in _WALLS]
+    return [_texture(width_m, height_m, seed + i) for i, (width_m, height_m) in enumerate(lengths_m)]
 
 
 def _texture(width_m: float, height_m: float, seed: int) -> np.ndarray:
@@ -159,16 +167,6 @@ def _write_import(data: DataRoot, frames: pd.DataFrame, sessions: list[str]) -> 
     )
     _write(folder, "sessions", pd.DataFrame({"session_id": sessions, "recording": sessions}))
     _write(folder, "jumps", pd.DataFrame({"session_id": [], "t_ns": []}).astype({"session_id": str, "t_ns": "int64"}))
-    _note_images(data)
-
-
-def _note_images(data: DataRoot) -> None:
-    folder = data.run("tiny", "room", "import")
-    frames = read_table(folder / "frames.parquet", schema("import", "frames"))
-    hashes = [sha256_of(data.captures("room") / image) for image in frames["image"]]
-    write_table(folder / "frames.parquet", frames.assign(image_sha256=hashes), schema("import", "frames"))
-    manifest = {"key": "test", "simulated": False, "outputs": hash_files(folder, folder.glob("*.parquet"))}
-    (folder / "manifest.json").write_text(json.dumps(manifest))
 
 
 def _write(folder: Path, name: str, table: pd.DataFrame) -> None:

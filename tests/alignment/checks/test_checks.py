@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from groundwalk.alignment.check_models import check_models, refusal
-from groundwalk.alignment.checked_map import CheckedMap
+from groundwalk.alignment.check_models import CheckedMap, check_models, refusal
 from groundwalk.alignment.checks.results import CheckResult, main_failure, with_status
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.decisions import Status
@@ -21,6 +20,11 @@ from tests.synthetic_walks import Scene, Walks
 
 FRAMES = 30
 NOISE = {"frames": FRAMES, "sfm_m": 0.01, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1, "phone_scale": 0.002}
+
+
+@pytest.fixture
+def scene(walks: Walks) -> Scene:
+    return walks.make(**NOISE)
 
 
 def run(scene: Scene) -> CheckedMap:
@@ -60,8 +64,7 @@ def mirror(scene: Scene, rows: np.ndarray, axis: int) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_mirrored_images_are_named(walks: Walks, axis: int) -> None:
-    scene = walks.make(**NOISE)
+def test_mirrored_images_are_named(scene: Scene, axis: int) -> None:
     mirror(scene, of_walk(scene, 1), axis)
     found = run(scene)
     assert (FailureCause.MIRRORED_IMAGES, "walk1") in faults(found) and without_ground_truth(found) == {1}
@@ -90,18 +93,16 @@ def turn_otherwise(scene: Scene, rows: np.ndarray, gain: float) -> None:
 
 
 @pytest.mark.parametrize("gain", [0.91, 1.11])
-def test_wrong_intrinsics_are_named(walks: Walks, gain: float) -> None:
+def test_wrong_intrinsics_are_named(scene: Scene, gain: float) -> None:
     """SfM that turns about a tenth too little or too much, its steps right: what a wrong focal length does."""
-    scene = walks.make(**NOISE)
     turn_otherwise(scene, of_walk(scene, 0), gain)
     found = run(scene)
     assert (FailureCause.WRONG_INTRINSICS, "walk0") in faults(found) and not found.frames.has_ground_truth.any()
     assert FailureCause.WRONG_INTRINSICS in there(error(scene, found)).what
 
 
-def test_folded_places_cost_the_whole_model(walks: Walks) -> None:
+def test_folded_places_cost_the_whole_model(scene: Scene) -> None:
     """The second half of a walk laid on its first half, as look-alike places do."""
-    scene = walks.make(**NOISE)
     rows = of_walk(scene, 0)
     sfm = poses_of(scene.images, "sfm_cam")
     half = FRAMES // 2
@@ -116,8 +117,7 @@ def test_folded_places_cost_the_whole_model(walks: Walks) -> None:
     assert FailureCause.PERCEPTUAL_ALIASING in there(error(scene, found)).what
 
 
-def test_a_single_wrong_frame_is_no_fold(walks: Walks) -> None:
-    scene = walks.make(**NOISE)
+def test_a_single_wrong_frame_is_no_fold(scene: Scene) -> None:
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[25] = sfm[5]
     scene.set_sfm(sfm)
@@ -129,9 +129,8 @@ def test_a_single_wrong_frame_is_no_fold(walks: Walks) -> None:
     )
 
 
-def test_a_session_of_another_scene_is_named(walks: Walks) -> None:
+def test_a_session_of_another_scene_is_named(scene: Scene) -> None:
     """It comes as a model of its own that no session shares, or not at all."""
-    scene = walks.make(**NOISE)
     rows = of_walk(scene, 2)
     scene.images.loc[rows, "model_id"] = "incremental/1"
     found = run(scene)
@@ -162,9 +161,8 @@ def cut_off(scene: Scene, rows: np.ndarray) -> dict[str, str]:
     ],
 )
 def test_focal_lengths_that_the_images_deny_are_named_where_motion_hides_them(
-    walks: Walks, scale: float, sd: float, status: Status
+    scene: Scene, scale: float, sd: float, status: Status
 ) -> None:
-    scene = walks.make(**NOISE)
     scene.set_focal("walk0", scale, sd)
     found = run(scene)
     (check,) = [c for c in found.checks if c.name == "session_focal_length"]
@@ -175,16 +173,14 @@ def test_focal_lengths_that_the_images_deny_are_named_where_motion_hides_them(
         assert not found.frames.problem.any()
 
 
-def test_turns_are_odometrys_fault_where_the_images_confirm_the_focal_length(walks: Walks) -> None:
-    scene = walks.make(**NOISE)
+def test_turns_are_odometrys_fault_where_the_images_confirm_the_focal_length(scene: Scene) -> None:
     turn_otherwise(scene, of_walk(scene, 1), 0.9)
     assert (FailureCause.WRONG_INTRINSICS, "walk1") in faults(run(scene))
     scene.set_focal("walk1", 1.001, 0.001)
     assert (FailureCause.WRONG_INTRINSICS, "walk1") not in faults(run(scene))
 
 
-def test_images_whose_pairs_move_as_vio_belong_to_its_poses(walks: Walks) -> None:
-    scene = walks.make(**NOISE)
+def test_images_whose_pairs_move_as_vio_belong_to_its_poses(scene: Scene) -> None:
     rows = of_walk(scene, 1)
     shuffle(scene, rows)
     found = run(scene)
@@ -199,9 +195,8 @@ def test_images_whose_pairs_move_as_vio_belong_to_its_poses(walks: Walks) -> Non
 
 
 @pytest.mark.parametrize("registered", [False, True])
-def test_what_a_vio_jump_cut_off_is_no_other_scene(walks: Walks, registered: bool) -> None:
+def test_what_a_vio_jump_cut_off_is_no_other_scene(scene: Scene, registered: bool) -> None:
     """A few frames that nothing ties to the map, by view or by VIO: not in the model, or in one of their own."""
-    scene = walks.make(**NOISE)
     rows = of_walk(scene, 2)[-8:]
     recordings = cut_off(scene, rows)
     scene.images.loc[rows, "model_id"] = "incremental/1" if registered else None

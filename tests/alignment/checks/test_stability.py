@@ -1,7 +1,6 @@
 """The same walks sampled otherwise: what passed is never refused, and what was refused never passes."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,12 +32,7 @@ def resampled(scene: Scene) -> Iterator[Scene]:
     place = np.tile(np.arange(FRAMES), 3)
     orders = [place % 2 == 0, place % 3 == 1, place < FRAMES // 2, place >= FRAMES // 2]
     for rows in [*map(np.flatnonzero, orders), np.random.default_rng(0).permutation(3 * FRAMES)]:
-        yield replace(
-            scene,
-            frames=scene.frames.iloc[rows].reset_index(drop=True),
-            images=scene.images.iloc[rows].reset_index(drop=True),
-            true_T_cam=scene.true_T_cam[rows],
-        )
+        yield scene.part(rows)
 
 
 def stretch_vio(scene: Scene, factor: float) -> None:

@@ -1,6 +1,5 @@
 """Control points from files to a check: within their bounds where all is right, and named where a survey is wrong."""
 
-import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,25 +11,22 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.alignment.check_models import check_models
+from groundwalk.alignment.check_models import CheckedMap, check_models
 from groundwalk.alignment.components import NO_SCALE, NOT_GIVEN, GivenFrame, PlacedComponent
 from groundwalk.alignment.control.check import ControlCheck, check_control, describe
-from groundwalk.alignment.control.points import find_points
-from groundwalk.alignment.control.settings import controls_of
+from groundwalk.alignment.control.points import ControlPoints, find_points
 from groundwalk.alignment.control.tables import control_table, draw_control, points_table
 from groundwalk.alignment.definition import STAGE
 from groundwalk.alignment.georeference import of_surveys
 from groundwalk.alignment.given_frame import by_surveys
-from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.settings import AlignSettings, controls_of
 from groundwalk.geometry.earth import geodetic_of
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse, transform
 from groundwalk.store import DataRoot, UserError, execute
-from groundwalk.store.files import write_json
-from groundwalk.store.manifests import output_hashes
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import camera_of, poses_of, read_table, write_table
-from tests.known import cells, there
+from groundwalk.store.tables import camera_of, poses_of, read_table
+from tests.known import cells, rewrite, table_of, there, without_vio
 from tests.known import rows as records
 from tests.synthetic_walks import Scene, Walks
 
@@ -79,10 +75,7 @@ def judged(
     survey = pd.DataFrame(change(enu), columns=["x_m", "y_m", "z_m"]).assign(point=NAMES)
     survey.to_csv(folder / "survey.csv", index=False)
     observed(scene, xyz, seed).to_csv(folder / "seen.csv", index=False)
-    table = {"points": "survey.csv", "images": "seen.csv", "sd_m": SD_M, "pixel_sd": 0.5}
-    (settings,) = controls_of([table])
     checked = check_models(scene.inputs(), AlignSettings())
-    points = find_points(settings, scene.frames, folder, Path)
     placed = checked.placed
     if not metric:
         component = replace(placed[0].component, scale=NO_SCALE)
@@ -92,7 +85,18 @@ def judged(
         log = -np.log(0.37) + ruler_sd * np.random.default_rng(seed + 7).normal()
         component = replace(placed[0].component, scale=replace(scale, log=float(log)))
         placed = [PlacedComponent(component, component.metric_S_sfm)]
-    return check_control(points, scene.frames, scene.images, placed, checked.frames.has_ground_truth)
+    return checked_in(scene, replace(checked, placed=placed), points_of(scene, folder))
+
+
+def points_of(scene: Scene, folder: Path, **changes: Any) -> ControlPoints:
+    """The points of a survey in the folder's files."""
+    table = {"points": "survey.csv", "images": "seen.csv", "sd_m": SD_M, "pixel_sd": 0.5}
+    (settings,) = controls_of([table | changes])
+    return find_points(settings, scene.frames, folder, Path)
+
+
+def checked_in(scene: Scene, checked: CheckedMap, points: ControlPoints) -> ControlCheck:
+    return check_control(points, scene.frames, scene.images, checked.placed, checked.frames.has_ground_truth)
 
 
 @pytest.fixture(scope="module")
@@ -136,15 +140,11 @@ def test_a_survey_in_wgs84_places_the_map_on_earth(place: tuple[Scene, Array], t
     local = survey[["x_m", "y_m", "z_m"]].to_numpy() - survey[["x_m", "y_m", "z_m"]].to_numpy().mean(axis=0)
     earth = pd.DataFrame(geodetic_of(origin, local), columns=["latitude_deg", "longitude_deg", "altitude_m"])
     earth.assign(point=NAMES).to_csv(tmp_path / "survey.csv", index=False)
-    table = {"points": "survey.csv", "images": "seen.csv", "sd_m": SD_M, "pixel_sd": 0.5}
+    pd.DataFrame(local, columns=["x_m", "y_m", "z_m"]).assign(point=NAMES).to_csv(tmp_path / "local.csv")
     checked = check_models(place[0].inputs(), AlignSettings())
     found = []
     for changes in ({}, {"points": "local.csv", "origin": list(origin)}):
-        pd.DataFrame(local, columns=["x_m", "y_m", "z_m"]).assign(point=NAMES).to_csv(tmp_path / "local.csv")
-        (settings,) = controls_of([table | changes])
-        points = find_points(settings, place[0].frames, tmp_path, Path)
-        usable = checked.frames.has_ground_truth
-        again = check_control(points, place[0].frames, place[0].images, checked.placed, usable)
+        again = checked_in(place[0], checked, points_of(place[0], tmp_path, **changes))
         placed = there(of_surveys([check, again], checked.placed))
         assert placed.used == 12 and placed.rms_m < 0.02 and not placed.gives_scale
         found.append(placed.places(again.mapped.xyz)[2])
@@ -156,17 +156,13 @@ def test_a_survey_in_wgs84_places_the_map_on_earth(place: tuple[Scene, Array], t
 
 def test_a_survey_gives_a_map_of_images_alone_scale_and_vertical(place: tuple[Scene, Array], tmp_path: Path) -> None:
     """And half of its points, by a fit of the others with a scale of their own, judge it."""
-    scene, xyz = replace(place[0], frames=place[0].frames.copy()), place[1]
-    judged(scene, xyz, tmp_path)
-    scene.frames[[c for c in scene.frames.columns if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
-    table = {"points": "survey.csv", "images": "seen.csv", "sd_m": SD_M, "pixel_sd": 0.5}
-    (settings,) = controls_of([table])
-    points = find_points(settings, scene.frames, tmp_path, Path)
+    judged(*place, tmp_path)
+    scene = replace(place[0], frames=without_vio(place[0].frames))
+    points = points_of(scene, tmp_path)
 
     def checked_by(given: GivenFrame) -> tuple[ControlCheck, PlacedComponent]:
         checked = check_models(scene.inputs(given=given), AlignSettings())
-        usable = checked.frames.has_ground_truth
-        return check_control(points, scene.frames, scene.images, checked.placed, usable), checked.placed[0]
+        return checked_in(scene, checked, points), checked.placed[0]
 
     check, placed = checked_by(NOT_GIVEN)
     assert placed.component.scale.source == "none" and placed.component.vertical.source == "none"
@@ -237,8 +233,7 @@ def test_tables_are_read_as_spreadsheets_write_them(
 ) -> None:
     (tmp_path / "survey.csv").write_bytes(text.encode(encoding))
     (tmp_path / "seen.csv").write_text("frame,point,x_px,y_px\nwalk0/000000,a,5,5\n")
-    (settings,) = controls_of([{"points": "survey.csv", "images": "seen.csv"}])
-    assert find_points(settings, place[0].frames, tmp_path, Path).xyz_m.tolist() == [[1.5, -2.0, 0.25]]
+    assert points_of(place[0], tmp_path).xyz_m.tolist() == [[1.5, -2.0, 0.25]]
 
 
 @pytest.mark.parametrize(
@@ -257,9 +252,8 @@ def test_files_that_are_wrong_are_refused(
 ) -> None:
     (tmp_path / "survey.csv").write_text(survey)
     (tmp_path / "seen.csv").write_text("frame,point,x_px,y_px\n" + (seen or "walk0/000000,a,5,5\n"))
-    (settings,) = controls_of([{"points": "survey.csv", "images": "seen.csv"}])
     with pytest.raises(UserError, match=what):
-        find_points(settings, place[0].frames, tmp_path, Path)
+        points_of(place[0], tmp_path)
 
 
 def test_align_writes_tables_and_picture(data: DataRoot) -> None:
@@ -267,7 +261,7 @@ def test_align_writes_tables_and_picture(data: DataRoot) -> None:
     truth = read_table(data.captures("Place") / "true_poses.parquet", schema("simulate", "true_poses"))
     poses = poses_of(truth, "map_cam")
     xyz = transform(poses[[3, 5, 9, 12, 25, 30, 33]], np.array([0.5, -0.4, 4.0]))
-    frames = read_table(data.run("tiny", "Place", "import") / "frames.parquet", schema("import", "frames"))
+    frames = table_of(data, "Place", "import", "frames")
     seen = observed(Scene(frames, frames, frames, poses, xyz), xyz, 0)
     folder = data.root / "control"
     folder.mkdir()
@@ -277,21 +271,15 @@ def test_align_writes_tables_and_picture(data: DataRoot) -> None:
     named = 'points = "control/survey.csv"\nimages = "control/seen.csv"\nup = "y"\nmax_error_m = 0.3\n'
     (data.root / "scenes" / "Place.toml").write_text(f"[[control]]\n{named}")
     execute(STAGE, "Place", "tiny", data)
-    align = data.run("tiny", "Place", "align")
-    (survey,) = records(read_table(align / "control.parquet", schema("align", "control")))
-    points = read_table(align / "control_points.parquet", schema("align", "control_points"))
-    checks = read_table(align / "checks.parquet", schema("align", "checks"))
-    assert survey.fit == "se3" and survey.used >= 6 and survey.rms_m < 0.1 and survey.tilt_deg < 1
+    survey, points, checks = (table_of(data, "Place", "align", t) for t in ("control", "control_points", "checks"))
+    (row,) = records(survey)
+    assert row.fit == "se3" and row.used >= 6 and row.rms_m < 0.1 and row.tilt_deg < 1
     assert points["point"].tolist() == NAMES[:7] and "control_points" in checks["check"].tolist()
-    assert (align / "control.png").is_file()
+    assert (data.run("tiny", "Place", "align") / "control.png").is_file()
     # Without VIO it is the survey that makes the map metric and upright.
-    imported = data.run("tiny", "Place", "import")
-    frames[[c for c in frames.columns if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
-    write_table(imported / "frames.parquet", frames, schema("import", "frames"))
-    manifest = json.loads((imported / "manifest.json").read_text())
-    write_json(imported / "manifest.json", manifest | {"outputs": output_hashes(imported)})
+    rewrite(data, "Place", "import", "frames", without_vio(frames))
     execute(STAGE, "Place", "tiny", data, force=True)
-    aligned = read_table(align / "ground_truth.parquet", schema("align", "ground_truth"))
+    aligned = table_of(data, "Place", "align", "ground_truth")
     assert set(aligned["scale_source"].dropna()) == {"control: control"}
     assert set(aligned["vertical_source"].dropna()) == {"control points"}
     found = poses_of(aligned, "map_cam")

@@ -26,20 +26,18 @@ from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.colours import GROUND_TRUTH, REJECTED, VIO
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema, stage_tables
-from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
-from tests.known import there
+from groundwalk.store.tables import pose_frame, poses_of, read_table
+from tests.known import put, table_of, there, without_vio
 from tests.synthetic_walks import Scene, Walks, align
 
 WORLD = Sim3(1.0, Rotation.from_euler("xyz", [0.9, -0.2, 1.5]).as_matrix(), np.array([100.0, -20.0, 4.0]))
 
 
-def without_vio(scene: Scene) -> Scene:
-    frames = scene.frames.copy()
-    frames[[c for c in frames.columns if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
-    return replace(scene, frames=frames)
+def of_images(scene: Scene) -> Scene:
+    return replace(scene, frames=without_vio(scene.frames))
 
 
-def stated(scene: Scene, map_T_cam: np.ndarray, **changes: Any) -> Reference:
+def stated(map_T_cam: np.ndarray, **changes: Any) -> Reference:
     return replace(Reference(map_T_cam, is_metric=True, is_up_known=False, gives_map=True), **changes)
 
 
@@ -49,9 +47,9 @@ def run(scene: Scene, reference: Reference | None) -> AlignResult:
 
 @pytest.mark.parametrize("unit", [1.0, 7.3])
 def test_the_map_is_the_references_frame(walks: Walks, unit: float) -> None:
-    scene = without_vio(walks.make(sfm_m=0.005, sfm_deg=0.02, sessions=2))
+    scene = of_images(walks.make(sfm_m=0.005, sfm_deg=0.02, sessions=2))
     world = replace(WORLD, scale=unit)
-    reference = stated(scene, world.poses(scene.true_T_cam), is_metric=unit == 1.0)
+    reference = stated(world.poses(scene.true_T_cam), is_metric=unit == 1.0)
     aligned = run(scene, reference)
     gt = aligned.ground_truth
     found = poses_of(gt, "map_cam")
@@ -73,22 +71,22 @@ def test_the_map_is_the_references_frame(walks: Walks, unit: float) -> None:
 
 
 def test_models_that_nothing_else_ties_lie_where_the_reference_has_them(walks: Walks) -> None:
-    scene = without_vio(walks.make(sessions=2))
+    scene = of_images(walks.make(sessions=2))
     scene.images.loc[scene.frames["session_id"] == "walk1", "model_id"] = "incremental/1"
     own = (scene.frames["session_id"] == "walk1").to_numpy()
     sfm_T_cam = poses_of(scene.images, "sfm_cam")
     sfm_T_cam[own] = Sim3(3.0, WORLD.rotation, WORLD.translation).poses(sfm_T_cam[own])
     scene.set_sfm(sfm_T_cam)
-    gt = run(scene, stated(scene, WORLD.poses(scene.true_T_cam))).ground_truth
+    gt = run(scene, stated(WORLD.poses(scene.true_T_cam))).ground_truth
     np.testing.assert_allclose(poses_of(gt, "map_cam"), WORLD.poses(scene.true_T_cam), atol=1e-6)
     assert gt["component"].value_counts().to_dict() == {0: 60, 1: 60} and not gt["gt_uses_vio"].any()
 
 
 def test_frames_that_are_elsewhere_get_no_ground_truth(walks: Walks) -> None:
-    scene = without_vio(walks.make(sessions=2))
+    scene = of_images(walks.make(sessions=2))
     reference = WORLD.poses(scene.true_T_cam)
     reference[10:15, :3, 3] += [0.0, 5.0, 0.0]
-    aligned = run(scene, stated(scene, reference))
+    aligned = run(scene, stated(reference))
     wrong = aligned.ground_truth["quality"] == "none"
     assert np.flatnonzero(wrong).tolist() == list(range(10, 15))
     assert "SfM and reference inconsistent" in aligned.ground_truth["reason"][10]
@@ -96,12 +94,12 @@ def test_frames_that_are_elsewhere_get_no_ground_truth(walks: Walks) -> None:
 
 
 def test_what_the_reference_does_not_confirm_is_class_c_and_turned_cameras_are_named(walks: Walks) -> None:
-    scene = without_vio(walks.make(sessions=2))
+    scene = of_images(walks.make(sessions=2))
     reference = WORLD.poses(scene.true_T_cam)
     reference[10:15, :3, 3] += [0.0, 0.3, 0.0]
     # As by a principal point that is off: each camera turned alike about its own axes.
     reference = reference @ make_pose(Rotation.from_euler("y", 0.8, degrees=True).as_matrix(), [0, 0, 0])
-    aligned = run(scene, stated(scene, reference))
+    aligned = run(scene, stated(reference))
     assert np.flatnonzero(aligned.ground_truth["quality"] == "C").tolist() == list(range(10, 15))
     text = "\n".join(describe_agreement(aligned.reference_agreement, aligned.ground_truth))
     (degrees, *_) = re.findall(r"turned by ([0-9.]+)° \(median\)", text)
@@ -110,21 +108,21 @@ def test_what_the_reference_does_not_confirm_is_class_c_and_turned_cameras_are_n
 
 @pytest.mark.parametrize("seed", [79, 198])
 def test_six_photos_that_agree_with_a_bad_reference_by_chance_are_not_class_a(walks: Walks, seed: int) -> None:
-    scene = without_vio(walks.make(seed=seed, frames=6, sessions=1, speed_m=0.08, sfm_m=0.001, sfm_deg=0.02))
+    scene = of_images(walks.make(seed=seed, frames=6, sessions=1, speed_m=0.08, sfm_m=0.001, sfm_deg=0.02))
     rng, reference = np.random.default_rng(seed), WORLD.poses(scene.true_T_cam)
     reference[:, :3, 3] += rng.normal(0, 0.02, (6, 3))
     reference[:, :3, :3] @= Rotation.from_rotvec(np.radians(3) * rng.normal(size=(6, 3))).as_matrix()
-    checked = check_models(scene.inputs(reference=stated(scene, reference)), AlignSettings())
-    quality = build(scene.frames, scene.images, checked, stated(scene, reference)).ground_truth["quality"]
+    checked = check_models(scene.inputs(reference=stated(reference)), AlignSettings())
+    quality = build(scene.frames, scene.images, checked, stated(reference)).ground_truth["quality"]
     assert set(quality) <= {"C", "none"}
 
 
 def test_a_session_in_another_world_is_refused_by_name(walks: Walks) -> None:
-    scene = without_vio(walks.make(sessions=3))
+    scene = of_images(walks.make(sessions=3))
     reference = WORLD.poses(scene.true_T_cam)
     own = (scene.frames["session_id"] == "walk1").to_numpy()
     reference[own] = scene.true_T_cam[own]
-    aligned = run(scene, stated(scene, reference))
+    aligned = run(scene, stated(reference))
     assert set(aligned.ground_truth.loc[own, "quality"]) == {"none"}
     assert "its world is another one" in aligned.ground_truth.loc[own, "reason"].iloc[0]
     (failed,) = aligned.checks[aligned.checks["status"] == "failed"].to_dict("records")
@@ -133,13 +131,13 @@ def test_a_session_in_another_world_is_refused_by_name(walks: Walks) -> None:
 
 
 def test_a_reference_that_nothing_agrees_with_is_refused(walks: Walks) -> None:
-    scene = without_vio(walks.make(sessions=2))
+    scene = of_images(walks.make(sessions=2))
     shuffled = WORLD.poses(scene.true_T_cam)[np.random.default_rng(0).permutation(len(scene.frames))]
     with pytest.raises(UserError, match="SfM and reference inconsistent"):
-        run(scene, stated(scene, shuffled))
+        run(scene, stated(shuffled))
     still = np.broadcast_to(np.eye(4), (len(scene.frames), 4, 4))
     with pytest.raises(UserError, match="can't be aligned to the reference") as error:
-        run(scene, stated(scene, still))
+        run(scene, stated(still))
     assert "one place" in str(error.value)
 
 
@@ -161,20 +159,20 @@ ROBOT = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # x forward, y left, z 
 def test_a_wrong_convention_is_named(
     walks: Walks, scale: float, mistake: Callable[[np.ndarray], np.ndarray], said: str
 ) -> None:
-    scene = without_vio(walks.make(sessions=2, sfm_m=0.005, sfm_deg=0.02))
+    scene = of_images(walks.make(sessions=2, sfm_m=0.005, sfm_deg=0.02))
     reference = mistake(replace(WORLD, scale=scale).poses(scene.true_T_cam))
     with pytest.raises(UserError, match=re.escape(said)):
-        run(scene, stated(scene, reference, is_metric=False))
+        run(scene, stated(reference, is_metric=False))
 
 
 def test_where_a_model_bends_is_named_and_drawn(walks: Walks, tmp_path: Path) -> None:
     """A walk whose second half is turned by 25 degrees about the point in its middle."""
-    scene = without_vio(walks.make(sessions=1, sfm_m=0.005, sfm_deg=0.02))
+    scene = of_images(walks.make(sessions=1, sfm_m=0.005, sfm_deg=0.02))
     reference = scene.true_T_cam.copy()
     at, turn = len(reference) // 2, Rotation.from_euler("y", 25, degrees=True).as_matrix()
     middle = reference[at, :3, 3]
     reference[at:] = Sim3(1.0, turn, middle - turn @ middle).poses(reference[at:])
-    inputs = scene.inputs(reference=stated(scene, reference, is_metric=False))
+    inputs = scene.inputs(reference=stated(reference, is_metric=False))
     found = check_models(inputs, AlignSettings(max_reference_error_deg=1.0))
     (failed,) = (check for check in found.checks if check.status is Status.FAILED)
     ((first, last),) = re.findall(r"most between walk0/(\d+) and walk0/(\d+)", failed.reason)
@@ -191,7 +189,7 @@ def test_where_a_model_bends_is_named_and_drawn(walks: Walks, tmp_path: Path) ->
 def test_beside_vio_a_reference_is_compared_and_gives_nothing(walks: Walks, metric: bool) -> None:
     scene = walks.make(sessions=2)
     plain = run(scene, None)
-    reference = stated(scene, replace(WORLD, scale=1.02).poses(scene.true_T_cam), is_metric=metric, gives_map=False)
+    reference = stated(replace(WORLD, scale=1.02).poses(scene.true_T_cam), is_metric=metric, gives_map=False)
     beside = run(scene, reference)
     pd.testing.assert_frame_equal(plain.ground_truth, beside.ground_truth)
     assert set(beside.ground_truth["scale_source"]) == {"vio"} and not len(plain.reference_agreement)
@@ -206,28 +204,24 @@ def test_a_map_without_scale_is_compared_with_a_metric_reference_up_to_scale(wal
     scene = walks.make(sessions=1)
     still = poses_of(scene.frames, "vio_cam")
     still[:, :3, 3] = 0.0
-    scene.frames[pose_frame("vio_cam", still).columns] = pose_frame("vio_cam", still).to_numpy()
-    aligned = run(scene, stated(scene, scene.true_T_cam, gives_map=False))
+    scene.set_vio(still)
+    aligned = run(scene, stated(scene.true_T_cam, gives_map=False))
     assert set(aligned.ground_truth["scale_source"]) == {"none"}
     (row,) = aligned.reference_agreement.to_dict("records")
     assert row["fit"] == "sim3" and row["position_rms_m"] < 1e-3
 
 
 def test_the_stage_says_what_gave_scale_and_vertical(data: DataRoot) -> None:
-    folder = data.run("tiny", "Place", "import")
-    frames = read_table(folder / "frames.parquet", schema("import", "frames"))
-    frames[[c for c in frames.columns if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
-    write_table(folder / "frames.parquet", frames, schema("import", "frames"))
+    frames = without_vio(table_of(data, "Place", "import", "frames"))
+    put(data, "Place", "import", "frames", frames)
     truth = read_table(data.captures("Place") / "true_poses.parquet", schema("simulate", "true_poses"))
-    reference = pd.concat(
-        [frames[["frame_id", "session_id", "t_ns"]], pose_frame("map_cam", poses_of(truth, "map_cam"))], axis=1
-    )
-    write_table(folder / "reference.parquet", reference, schema("import", "reference"))
-    sessions = read_table(folder / "sessions.parquet", schema("import", "sessions"))
+    poses = pose_frame("map_cam", poses_of(truth, "map_cam"))
+    put(data, "Place", "import", "reference", frames[["frame_id", "session_id", "t_ns"]].join(poses))
     origin = {"x": 4186460.0, "y": 834910.0, "z": 4723430.0}
+    sessions = table_of(data, "Place", "import", "sessions")
     sessions = sessions.assign(pose_source="reference", reference_unit="m", up="+y")
     sessions = sessions.assign(**{f"reference_origin_{axis}": value for axis, value in origin.items()})
-    write_table(folder / "sessions.parquet", sessions, schema("import", "sessions"))
+    put(data, "Place", "import", "sessions", sessions)
     out = execute(STAGE, "Place", "tiny", data)
     tables = {t.name: read_table(out / f"{t.name}.parquet", t) for t in stage_tables("align")}
     assert (out / "checks.png").is_file() and (out / "recording.rrd").stat().st_size > 1000

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from groundwalk.sfm.mapping.attempts import Attempt, run_attempts
-from groundwalk.sfm.mapping.built import BuiltModel
+from groundwalk.sfm.model import BuiltModel
 from groundwalk.sfm.pairs import verification
 from groundwalk.sfm.pairs.matched import matched_pairs
 from groundwalk.sfm.pairs.odometry import odometry
@@ -137,12 +137,13 @@ def test_the_floor_is_matched_where_a_recording_would_break(monkeypatch: pytest.
     vio = odometry(session, recording, np.arange(7), np.tile(np.eye(4), (7, 1, 1)), gravity, [])
     tasks: list[Task] = []
     said: list[str] = []
-    source: Any = SimpleNamespace(frames=pd.DataFrame({"frame_id": list("abcdefg")}))
-    work: Any = SimpleNamespace(in_child=lambda text, task: tasks.append(task))
+    work = SimpleNamespace(in_child=lambda text, task: tasks.append(task))
+    frames = pd.DataFrame({"frame_id": list("abcdefg")})
+    source: Any = SimpleNamespace(frames=frames, vio=vio, work=work, database=Path("database"))
     after = inliers + 40 * (inliers < 21)
     monkeypatch.setattr(verification, "read_pair_results", lambda database, pairs: (inliers, after))
-    tied = with_floor_matches(matched, source, vio, Path("database"), work, said.append)
+    tied = with_floor_matches(matched, source, said.append)
     (task,) = tasks
-    assert task.arguments[3].tolist() == [[0, 2], [1, 2]] and task.arguments[4].tolist() == [True, False]
+    assert task.arguments[1].tolist() == [[0, 2], [1, 2]] and task.arguments[2].tolist() == [True, False]
     assert tied["inliers"].tolist() == [120, 60, 40, 30, 30, 30]
     assert "b and c, d and e" in said[0] and "to 2 of 2 pairs" in said[0]

@@ -1,6 +1,5 @@
 """COLMAP's ways of mapping, with our options."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.lens import rational_of_fisheye
 from groundwalk.sfm.database import image_id, pose_of
-from groundwalk.sfm.mapping.mappers import from_poses, hierarchical_mapping, incremental_mapping
+from groundwalk.sfm.mapping.mappers import from_poses, incremental_mapping
 from groundwalk.sfm.plugins import MappingInput
 
 
@@ -31,11 +30,7 @@ def test_where_no_first_pair_is_so_exact_mapping_begins_within_colmaps_own_limit
 
 
 def test_poses_that_are_centimetres_off_are_a_start_that_images_correct(tmp_path: Path) -> None:
-    options = pycolmap.SyntheticDatasetOptions()
-    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 8, 300
-    given = MappingInput(tmp_path / "database.db", tmp_path, 0)
-    with pycolmap.Database.open(given.database) as database:
-        true = pycolmap.synthesize_dataset(options, database)
+    given, true = synthetic(tmp_path, 8)
     true_T_cam = np.stack([pose_of(true.image(image_id(row))) for row in range(8)])
     start_T_cam = true_T_cam.copy()
     start_T_cam[:, :3, 3] += np.random.default_rng(0).normal(0, 0.03, (8, 3))
@@ -47,16 +42,23 @@ def test_poses_that_are_centimetres_off_are_a_start_that_images_correct(tmp_path
     assert np.abs(fit.points(found_T_cam[:, :3, 3]) - true_T_cam[:7, :3, 3]).max() < 1e-3
 
 
-@pytest.mark.parametrize("mapper", [incremental_mapping, hierarchical_mapping])
-def test_a_fisheye_lens_is_mapped(tmp_path: Path, mapper: Callable[..., list[pycolmap.Reconstruction]]) -> None:
-    lens = rational_of_fisheye([-0.03, 0.01, -0.005, 0.001], 1.05, 5e-5)
-    options = pycolmap.SyntheticDatasetOptions()
-    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 12, 300
-    options.camera_width, options.camera_height = 640, 480
-    options.camera_model_id, options.camera_has_prior_focal_length = pycolmap.CameraModelId.FULL_OPENCV, True
-    options.camera_params = [320, 320, 320, 240, *lens]
-    given = MappingInput(tmp_path / "database.db", tmp_path, 0)
-    with pycolmap.Database.open(given.database) as database:
-        pycolmap.synthesize_dataset(options, database)
-    (model,) = mapper(given, tmp_path, lambda: None)
+def test_a_fisheye_lens_is_mapped(tmp_path: Path) -> None:
+    given, _ = synthetic(
+        tmp_path,
+        12,
+        camera_width=640,
+        camera_height=480,
+        camera_model_id=pycolmap.CameraModelId.FULL_OPENCV,
+        camera_has_prior_focal_length=True,
+        camera_params=[320, 320, 320, 240, *rational_of_fisheye([-0.03, 0.01, -0.005, 0.001], 1.05, 5e-5)],
+    )
+    (model,) = incremental_mapping(given, tmp_path, lambda: None)
     assert model.num_reg_images() == 12 and model.compute_mean_reprojection_error() < 0.5
+
+
+def synthetic(folder: Path, frames: int, **options: Any) -> tuple[MappingInput, pycolmap.Reconstruction]:
+    """A database of so many frames of COLMAP's synthetic scene, and the true model."""
+    counts: dict[str, Any] = {"num_rigs": 1, "num_frames_per_rig": frames, "num_points3D": 300}
+    given = MappingInput(folder / "database.db", folder, 0)
+    with pycolmap.Database.open(given.database) as database:
+        return given, pycolmap.synthesize_dataset(pycolmap.SyntheticDatasetOptions(**counts, **options), database)

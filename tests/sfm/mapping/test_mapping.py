@@ -12,10 +12,9 @@ from scipy.linalg import LinAlgError
 
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.model_adjustment import adjust_model
-from groundwalk.sfm.mapping.built import BuiltModel
 from groundwalk.sfm.mapping.held_out import choose_held_out
 from groundwalk.sfm.mapping.misplaced import misplaced_frames
-from groundwalk.sfm.model import load_models
+from groundwalk.sfm.model import BuiltModel, load_models
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.sfm.tables import camera_tables
 from groundwalk.store.choices import CameraOrigin

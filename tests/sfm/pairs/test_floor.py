@@ -15,7 +15,7 @@ from groundwalk.geometry.poses import Array, inverse, make_pose, relative, rotat
 from groundwalk.sfm.cameras.lenses import prior_lenses
 from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.database import Workspace, create_database, image_id, read_pair_results
-from groundwalk.sfm.pairs.floor import FloorSource, floor_features, floor_matches, match_floor
+from groundwalk.sfm.pairs.floor import PairSource, floor_features, floor_matches, match_floor
 from groundwalk.sfm.pairs.matching import guide_pairs, match_pairs, mutual_matches
 from groundwalk.sfm.pairs.odometry import odometry
 from groundwalk.sfm.settings import SfmSettings
@@ -108,17 +108,15 @@ def test_other_places_and_views_without_a_floor_do_not_match() -> None:
 
 
 def test_a_pair_tied_by_the_floor_has_its_true_pose_and_inliers_that_fit_it(tmp_path: Path) -> None:
-    source, database, vio_T_cam = scene(tmp_path)
+    source = scene(tmp_path)
+    database = source.database
     before = read_pair_results(database, PAIRS)[1][0]
-    gravity = np.stack([gravity_in(p) for p in TURN])
-    session = np.array(["s", "s"], object)
-    vio = odometry(session, session, np.array([0, 500_000_000]), vio_T_cam, gravity, [])
-    match_floor(quiet, database, source, vio, PAIRS, np.array([False]))
+    match_floor(quiet, source, PAIRS, np.array([False]))
 
     matches, after = read_pair_results(database, PAIRS)
     assert after[0] > before + 30 and matches[0] == read_pair_results(source.features, PAIRS)[0][0]
     kept = inliers(database)
-    match_floor(quiet, database, source, vio, PAIRS, np.array([False]))
+    match_floor(quiet, source, PAIRS, np.array([False]))
     np.testing.assert_array_equal(inliers(database), kept)
     guide_pairs(quiet, database, PAIRS)
     with pycolmap.Database.open(database) as opened, pycolmap.Database.open(source.features) as raw:
@@ -144,7 +142,7 @@ def inliers(database: Path) -> NDArray[np.int64]:
         return np.asarray(opened.read_two_view_geometry(image_id(0), image_id(1)).inlier_matches, np.int64)
 
 
-def scene(folder: Path) -> tuple[FloorSource, Path, Array]:
+def scene(folder: Path) -> PairSource:
     """Two frames of a turn with ordinary features and their matches, and VIO that is off by a degree."""
     names = ["a.png", "b.png"]
     for name, p in zip(names, TURN, strict=True):
@@ -179,6 +177,15 @@ def scene(folder: Path) -> tuple[FloorSource, Path, Array]:
     motion = Motion(np.zeros((2, 3)), np.zeros(2), np.zeros((2, 3)), np.ones(2, bool))
     turned = make_pose(Rotation.from_rotvec([0, np.radians(1.0), 0]).as_matrix(), [0.01, 0, 0])
     vio_T_cam = np.stack([TURN[0], turned @ TURN[1]])
-    source = FloorSource(features, Workspace(folder, names, folder, {}), frames, lenses, motion)
     assert np.degrees(rotation_angle((inverse(vio_T_cam[1]) @ TURN[1])[:3, :3])) > 0.9
-    return source, database, vio_T_cam
+    session, gravity = np.array(["s", "s"], object), np.stack([gravity_in(p) for p in TURN])
+    return PairSource(
+        database=database,
+        features=features,
+        work=Workspace(folder, names, folder, {}),
+        frames=frames,
+        lenses=lenses,
+        motion=motion,
+        vio=odometry(session, session, np.array([0, 500_000_000]), vio_T_cam, gravity, []),
+        seed=0,
+    )

@@ -1,16 +1,19 @@
 """The covariance that sfm writes against the errors that bundle adjustment really makes."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
+from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.shutter import readout_lines
 from groundwalk.sfm.cameras.adjustment import Adjusted, Bundle, CameraPriors, Cameras
 from groundwalk.sfm.quality.covariance import SHARED_ERRORS, Covariances, covariances
+from tests.known import there
 
 _FRAMES, _POINTS, _RUNS = 8, 300, 25
 _NOISE_PX = 0.7
@@ -40,19 +43,14 @@ def _sliding(rng: np.random.Generator) -> Array:
 def test_normalised_errors_have_the_size_that_the_covariance_says(
     noise: Callable[[np.random.Generator], Array],
 ) -> None:
-    rng = np.random.default_rng(3)
-    truth = _ring_of_cameras()
-    xyz = rng.uniform(-1, 1, (_POINTS, 3))
-    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
-    exact_px = _project(truth, xyz, frame, point)
+    exact, rng = _exact(3)
     squared, rotation_too = [], []
     for _ in range(_RUNS):
-        observed_px = exact_px + noise(rng).reshape(-1, 2)
-        adjusted, adjusted_xyz = _bundle_adjusted(truth, xyz, observed_px.reshape(_FRAMES, _POINTS, 2))
-        covariance = _covariance(Bundle(adjusted, adjusted_xyz, frame, point, observed_px))
-        assert covariance is not None
-        covariance = covariance / SHARED_ERRORS  # these keypoints have nothing in common
-        error = _error_without_gauge(truth, adjusted)
+        noisy_px = exact.observed_px.reshape(_FRAMES, _POINTS, 2) + noise(rng)
+        adjusted, xyz = _bundle_adjusted(exact.sfm_T_cam, exact.xyz, noisy_px)
+        bundle = replace(exact, sfm_T_cam=adjusted, xyz=xyz, observed_px=noisy_px.reshape(-1, 2))
+        covariance = there(_covariances(bundle)).poses / SHARED_ERRORS  # these keypoints have nothing in common
+        error = _error_without_gauge(exact.sfm_T_cam, adjusted)
         squared.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error))
         rotation_too.append(error**2 / np.diagonal(covariance, axis1=1, axis2=2))
     # Chi square with 6 degrees of freedom; the 200 samples hang together a little.
@@ -63,80 +61,67 @@ def test_normalised_errors_have_the_size_that_the_covariance_says(
 
 
 def test_covariance_follows_the_gauge() -> None:
-    truth = _ring_of_cameras()
-    rng = np.random.default_rng(4)
-    xyz = rng.uniform(-1, 1, (_POINTS, 3))
-    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
-    observed_px = _project(truth, xyz, frame, point) - rng.normal(0, _NOISE_PX, (len(frame), 2))
-    turn, shift, scale = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix(), np.array([5.0, -3.0, 2.0]), 3.0
-    moved = make_pose(turn @ truth[:, :3, :3], scale * truth[:, :3, 3] @ turn.T + shift)
-    here = _covariance(Bundle(truth, xyz, frame, point, observed_px))
-    there = _covariance(Bundle(moved, scale * xyz @ turn.T + shift, frame, point, observed_px))
-    assert here is not None and there is not None
-    jacobian = np.kron(np.diag([1.0, scale]), turn)
-    assert np.allclose(there, jacobian @ here @ jacobian.T, rtol=1e-5, atol=1e-12)
+    bundle, other = _noisy(4), Sim3(3.0, Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix(), np.array([5.0, -3.0, 2.0]))
+    moved = replace(bundle, sfm_T_cam=other.poses(bundle.sfm_T_cam), xyz=other.points(bundle.xyz))
+    here, elsewhere = (there(_covariances(one)).poses for one in (bundle, moved))
+    jacobian = np.kron(np.diag([1.0, other.scale]), other.rotation)
+    assert np.allclose(elsewhere, jacobian @ here @ jacobian.T, rtol=1e-5, atol=1e-12)
 
 
 def test_a_keypoint_that_is_there_twice_tells_no_more_than_once() -> None:
-    truth, rng = _ring_of_cameras(), np.random.default_rng(5)
-    xyz = rng.uniform(-1, 1, (_POINTS, 3))
-    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
-    observed_px = _project(truth, xyz, frame, point) - rng.normal(0, _NOISE_PX, (len(frame), 2))
-    once = _covariance(Bundle(truth, xyz, frame, point, observed_px))
-    order = np.argsort(np.concatenate([frame, frame]), kind="stable")
-    both = (
-        np.concatenate([frame, frame])[order],
-        np.concatenate([point, _POINTS + point])[order],
-        np.concatenate([observed_px, observed_px])[order],
-    )
-    twice = _covariance(Bundle(truth, np.concatenate([xyz, xyz]), *both))
-    assert once is not None and twice is not None
-    assert np.allclose(twice, once, rtol=1e-3, atol=1e-9)
+    once, two = _noisy(5), np.arange(2 * _FRAMES * _POINTS) // 2
+    point = once.point[two] + _POINTS * (np.arange(len(two)) % 2)
+    xyz, px = np.concatenate([once.xyz, once.xyz]), once.observed_px[two]
+    twice = replace(once, xyz=xyz, frame=once.frame[two], point=point, observed_px=px)
+    of_once, of_twice = (there(_covariances(bundle)).poses for bundle in (once, twice))
+    assert np.allclose(of_twice, of_once, rtol=1e-3, atol=1e-9)
 
 
 def test_no_covariance_where_the_observations_do_not_determine_the_poses() -> None:
     frame, point = (index.ravel() for index in np.indices((_FRAMES, 2)))
     truth, xyz = _ring_of_cameras(), np.eye(3)[:2]
-    assert _covariance(Bundle(truth, xyz, frame, point, _project(truth, xyz, frame, point) + 1)) is None
+    assert _covariances(Bundle(truth, xyz, frame, point, _project(truth, xyz, frame, point) + 1)) is None
 
 
 def test_residuals_that_hang_together_widen_what_images_tell_and_no_prior() -> None:
-    truth, rng = _ring_of_cameras(), np.random.default_rng(6)
-    xyz = rng.uniform(-1, 1, (_POINTS, 3))
-    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
-    exact_px = _project(truth, xyz, frame, point)
-    observed_px = exact_px + rng.normal(0, _NOISE_PX, exact_px.shape) + np.where(exact_px[:, :1] < 400, 1.0, -1.0)
-    found = _covariances(Bundle(truth, xyz, frame, point, observed_px))
-    assert found is not None and found.by_region > 3
+    bundle = _noisy(6)
+    apart_px = np.where(bundle.observed_px[:, :1] < 400, 1.0, -1.0)
+    found = there(_covariances(replace(bundle, observed_px=bundle.observed_px + apart_px)))
+    assert found.by_region > 3
     assert np.allclose(np.sqrt(np.diag(found.shared)), _EXACT, rtol=0.05)
 
 
 def test_a_principal_point_that_is_off_is_off_to_the_same_side_of_the_sensor_in_turned_images() -> None:
-    truth, rng = _ring_of_cameras(), np.random.default_rng(7)
-    xyz = rng.uniform(-1, 1, (_POINTS, 3))
-    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
-    observed_px = _project(truth, xyz, frame, point) + rng.normal(0, _NOISE_PX, (len(frame), 2))
-    upright = _covariances(Bundle(truth, xyz, frame, point, observed_px), centre_sd_px=150.0, focal_sd=0.1)
+    upright = _noisy(7)
     # Every second image a quarter turn clockwise: what was right is down, what was down is left.
     turned = np.arange(_FRAMES) % 2 > 0
     cam_R_turned = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    poses, seen_px = truth.copy(), observed_px.copy()
-    poses[turned, :3, :3] = truth[turned, :3, :3] @ cam_R_turned
-    middle, rows = np.array(_SIZE_PX) / 2, turned[frame]
-    seen_px[rows] = (observed_px[rows] - middle) @ cam_R_turned[:2, :2] + middle
-    bundle = Bundle(poses, xyz, frame, point, seen_px)
-    same = _covariances(bundle, turned, centre_sd_px=150.0, focal_sd=0.1)
-    without, other = _covariances(bundle, turned, focal_sd=0.1), _covariances(bundle, centre_sd_px=150.0, focal_sd=0.1)
-    assert upright is not None and same is not None and without is not None and other is not None
-    focal_sd, *others = (np.sqrt(found.shared[-1, -1]) for found in (upright, same, without, other))
-    assert others[0] == pytest.approx(focal_sd, rel=1e-6)
-    assert others[1] < 0.7 * focal_sd and abs(others[2] / focal_sd - 1) > 0.1
+    poses, seen_px = upright.sfm_T_cam.copy(), upright.observed_px.copy()
+    poses[turned, :3, :3] = poses[turned, :3, :3] @ cam_R_turned
+    middle, rows = np.array(_SIZE_PX) / 2, turned[upright.frame]
+    seen_px[rows] = (seen_px[rows] - middle) @ cam_R_turned[:2, :2] + middle
+    bundle = replace(upright, sfm_T_cam=poses, observed_px=seen_px)
+
+    def focal_sd(bundle: Bundle, turned: np.ndarray | None = None, centre_sd_px: float = 150.0) -> float:
+        found = there(_covariances(bundle, turned, centre_sd_px=centre_sd_px, focal_sd=0.1))
+        return float(np.sqrt(found.shared[-1, -1]))
+
+    expected = focal_sd(upright)
+    assert focal_sd(bundle, turned) == pytest.approx(expected, rel=1e-6)
+    assert focal_sd(bundle, turned, centre_sd_px=0.0) < 0.7 * expected and abs(focal_sd(bundle) / expected - 1) > 0.1
 
 
-def _covariance(bundle: Bundle) -> Array | None:
-    """(N, 6, 6) of poses."""
-    estimate = _covariances(bundle)
-    return None if estimate is None else estimate.poses
+def _exact(seed: int) -> tuple[Bundle, np.random.Generator]:
+    """Cameras in a ring, and what they see of points between them."""
+    rng = np.random.default_rng(seed)
+    truth, xyz = _ring_of_cameras(), rng.uniform(-1, 1, (_POINTS, 3))
+    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
+    return Bundle(truth, xyz, frame, point, _project(truth, xyz, frame, point)), rng
+
+
+def _noisy(seed: int) -> Bundle:
+    exact, rng = _exact(seed)
+    return replace(exact, observed_px=exact.observed_px + rng.normal(0, _NOISE_PX, exact.observed_px.shape))
 
 
 def _covariances(
