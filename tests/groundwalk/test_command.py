@@ -89,7 +89,7 @@ def test_each_package_s_command_is_one_of_groundwalk_s(packages: dict[str, Any])
             assert options(modules[f"{package}.__main__", name].load()) == options(command)
         if f"{package}.definition" in {module for module, _ in modules}:
             stage = modules[f"{package}.definition", None]
-            assert options(stage.load()) == options(application) == options(stage.load(for_completion=True))
+            assert options(stage.load()) == options(application)
             assert stage.load().help == application.help
             of_stages += 1
     assert of_stages == len(STAGES)
@@ -101,16 +101,14 @@ def test_each_package_s_command_is_one_of_groundwalk_s(packages: dict[str, Any])
     ("line", "cursor", "expected"),
     [
         ("groundwalk s", 1, ["scenes", "simulate", "sfm", "sweep"]),
-        ("groundwalk sfm --scene Chu", 3, ["Church"]),
-        ("groundwalk train --profile ", 3, ["demo", "paper", "standard", "tiny"]),
         ("groundwalk align --fo", 2, ["--force"]),
     ],
 )
-def test_completion_knows_commands_options_scenes_and_profiles(line: str, cursor: int, expected: list[str]) -> None:
+def test_completion_knows_commands_and_options(line: str, cursor: int, expected: list[str]) -> None:
     asked = {"_GROUNDWALK_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(cursor)}
     printed, libraries = loaded_by([], **asked)
     assert printed.split() == expected
-    assert not libraries & (HEAVY - {"pydantic"})
+    assert not libraries & (HEAVY - {"numpy", "scipy", "pydantic"})
 
 
 def test_what_only_touches_files_loads_no_stage_s_library(make_run: Callable[..., MadeUpRun]) -> None:
