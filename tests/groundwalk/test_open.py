@@ -91,17 +91,13 @@ def test_predictions_are_those_of_regressors_and_localisers(make_run: Make) -> N
     assert set(open_place(made).predictions["model"]) == {"Map"}
 
 
-def test_poses_are_matrices_or_transforms(make_run: Make) -> None:
+def test_poses_are_matrices(make_run: Make) -> None:
     made = make_run()
     truth = open_place(made).ground_truth
     poses = groundwalk.pose_array(truth)
     known = np.arange(FRAMES) != LOST
     np.testing.assert_allclose(poses[known], made.map_T_cam[known], atol=1e-12)
     assert np.isnan(poses[LOST]).all()
-    with pytest.raises(UserError, match=rf"(?s)1 of {FRAMES} rows have no pose 'map_cam'.*dropna"):
-        groundwalk.rigid_transforms(truth)
-    transforms = groundwalk.rigid_transforms(truth.dropna(subset=["map_cam_tx"]))
-    np.testing.assert_allclose(transforms.as_matrix(), made.map_T_cam[known], atol=1e-12)
     with pytest.raises(UserError, match=r"(?s)no poses 'vio_cam'.*map_cam"):
         groundwalk.pose_array(truth, "vio_cam")
 
