@@ -7,7 +7,6 @@ import shutil
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,7 +20,6 @@ from groundwalk.store.schemas import schema
 from tests.groundwalk.made_up_run import FRAMES, LOST, MadeUpRun
 from tests.known import put, table_of, written
 
-ROOT = Path(__file__).resolve().parents[2]
 Make = Callable[..., MadeUpRun]
 PROPERTIES = {
     "frames": ("import", "frames"),
@@ -263,18 +261,3 @@ def test_a_group_names_its_scenes(make_run: Make) -> None:
     made.run("import", "sfm", "align")
     with pytest.raises(UserError, match="outdated: import of scene place"):
         _ = groundwalk.open("two", profile="tiny", data=made.data.root).predictions
-
-
-@pytest.mark.parametrize("page", ["README.md", "docs/reference/python.md"])
-def test_the_documented_lines_run(page: str, make_run: Make, capsys: pytest.CaptureFixture[str]) -> None:
-    made = make_run()
-    _, _, block = (ROOT / page).read_text(encoding="utf-8").partition("```python\nimport groundwalk\n")
-    block = "import groundwalk\n" + block.partition("```")[0]
-    assert 3 <= len([line for line in block.splitlines() if line]) <= 5
-    opened = f'open("place", profile="tiny", data={str(made.data.root)!r})'
-    assert 'open("Church")' in block
-    names: dict[str, Any] = {}
-    exec(block.replace('open("Church")', opened), names)
-    assert "real captures" in capsys.readouterr().out
-    if "image" in names:
-        assert names["image"].shape == (24, 32, 3) and names["sample"]["frame_id"] == "walk-0/000000"
