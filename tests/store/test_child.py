@@ -64,18 +64,6 @@ def test_the_child_does_without_its_parents_main_module(tmp_path: Path) -> None:
     assert said(tmp_path, doubled, TMPDIR=str(long)) == ["42"]
 
 
-def _meet(report: Report, mine: Path, other: Path) -> str:
-    mine.touch()
-    wait_until(other.exists)
-    report(1, "met")
-    return mine.name
-
-
-def test_tasks_run_side_by_side(tmp_path: Path) -> None:
-    a, b = tmp_path / "a", tmp_path / "b"
-    assert in_children("meeting", tmp_path / "log", "", [Task(_meet, (a, b), 1), Task(_meet, (b, a), 1)]) == ["a", "b"]
-
-
 def test_progress_within_a_task_is_seen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
