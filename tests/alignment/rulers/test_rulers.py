@@ -231,7 +231,7 @@ def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # VIO that may be off by so much tells no scale.
-    monkeypatch.setattr("groundwalk.alignment.map_frame.STEP_SCALE_SD", 1e3)
+    monkeypatch.setattr("groundwalk.consistency.scale.STEP_SCALE_SD", 1e3)
     still = AlignSettings()
     readings = read(scene, sighted(scene, ruler()))
     plain = align(scene.inputs(rulers=readings), still)
