@@ -33,7 +33,7 @@ example 2.1: An example.
 def example() -> pd.DataFrame:
     poses = np.stack([make_pose(np.eye(3), [1, 2, 3]), np.full((4, 4), np.nan)])
     frame = pd.DataFrame({"frame_id": ["a/000001", "a/000002"], "t_ns": [1, 2]}).join(pose_frame("map_cam", poses))
-    return frame.assign(covariance=cells([np.arange(36.0), None]), split=["train", None])
+    return frame.assign(covariance=cells([np.arange(36.0), None]), split=cells(["train", None]))
 
 
 def test_table_round_trip(tmp_path: Path) -> None:
