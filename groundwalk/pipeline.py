@@ -3,14 +3,18 @@
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from groundwalk.cli import stage_of
 from groundwalk.simulation.existing import is_up_to_date as captures_are_up_to_date
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.store.errors import UserError
+from groundwalk.store.files import read_json
 from groundwalk.store.hints import simulate_command
 from groundwalk.store.inputs import capture_files, hashes_of_named, no_captures
+from groundwalk.store.manifests import MANIFEST
 from groundwalk.store.outdated import is_up_to_date
 from groundwalk.store.progress import console
 from groundwalk.store.settings import STAGES, DataRoot, resolve_settings
@@ -21,6 +25,8 @@ USER_ERROR = 2  # the exit status of a command that a user can do something abou
 _REPORT = STAGES[-1]
 _SHOWN_AT_ONCE = ("align", "localise", "train")
 """Stages after which the report is written, though more follow: what they found needn't wait for hours of training."""
+_DEMO_S = dict(zip(("simulate", *STAGES), (58, 6, 138, 6, 66, 284, 28, 5), strict=True))
+"""Seconds of each command of simulated Church in profile demo on two cores, until a run has measured them here."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +75,19 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
     for scene in dict.fromkeys(step.scene for step in commands if step.command == STAGES[0]):
         if Step("simulate", scene) not in commands and (note := _of_another_profile(scene, profile, data)):
             console.print(note)
-    stages = [step for step in commands if step.command != "simulate"]
+    usual_s: dict[Step, float | None] = {}
+    for step in commands:
+        last = read_json(data.run(profile, step.scene, step.command) / MANIFEST).get("total_seconds")
+        is_demo = profile == "demo" and Step("simulate", step.scene) in commands
+        usual_s[step] = last if isinstance(last, float | int) else _DEMO_S[step.command] if is_demo else None
+    took_s: dict[Step, float] = {}
     for step, following in zip(commands, [*commands[1:], None], strict=True):
         if is_step_up_to_date(step, profile, data):
             console.print(f"{step.command} · {step.scene} · {profile}: up to date")
+            usual_s[step] = 0.0
             continue
-        console.print(f"stage {stages.index(step) + 1} of {len(stages)}" if step in stages else "captures first")
-        report = Step(_REPORT, step.scene)
+        console.print(_how_far(step, usual_s, took_s))
+        start, report = time.monotonic(), Step(_REPORT, step.scene)
         status = _run(step, profile, data)
         if status == USER_ERROR and report in commands and step.command in ("sfm", "align"):
             # It says what was refused; the reason lies in a partial folder, which is none of its inputs.
@@ -84,6 +96,7 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
             status = _run(report, profile, data)
         if status:
             sys.exit(status)
+        took_s[step] = time.monotonic() - start
 
 
 def _of_another_profile(scene: str, profile: str, data: DataRoot) -> str:
@@ -96,6 +109,21 @@ def _of_another_profile(scene: str, profile: str, data: DataRoot) -> str:
         f"captures · {scene} · {profile}: simulated for profile {other} and used as they are; for those of {profile}, "
         f"which take their place: {simulate_command(data.captures(scene), profile)}"
     )
+
+
+def _how_far(step: Step, usual_s: Mapping[Step, float | None], took_s: Mapping[Step, float]) -> str:
+    """Which stage begins, and how long all that is ahead takes, by how quick those before were this time. `usual_s`:
+    what each took the last time, or takes in a demo; None where neither is known."""
+    commands = list(usual_s)
+    stages = [other for other in commands if other.command != "simulate"]
+    text = f"stage {stages.index(step) + 1} of {len(stages)}" if step in stages else "captures first"
+    ahead = [usual_s[other] for other in commands[commands.index(step) :]]
+    known = [seconds for seconds in ahead if seconds is not None]
+    if len(known) < len(ahead):
+        return text
+    before = sum(usual_s[other] or 0.0 for other in took_s)
+    left_s = sum(known) * (sum(took_s.values()) / before if before else 1.0)
+    return f"{text} · about {max(1, round(left_s / 60))} min left"
 
 
 def check(step: Step, is_simulated: bool, profile: str, data: DataRoot) -> None:

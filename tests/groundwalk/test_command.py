@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from groundwalk import pipeline
 from groundwalk.cli import all_commands, app
-from groundwalk.pipeline import Step, run_steps, steps
+from groundwalk.pipeline import Step, _how_far, run_steps, steps
 from groundwalk.simulation.existing import key_of
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.store import DataRoot, UserError
@@ -255,6 +255,13 @@ def test_the_first_step_that_fails_ends_a_run(tmp_path: Path, capfd: pytest.Capt
     with pytest.raises(SystemExit) as ended:
         run_steps([Step("sfm", "Church"), Step("align", "Church")], "tiny", data)
     assert ended.value.code == 2 and capfd.readouterr().err.count("stage import of scene Church hasn't been run") == 1
+
+
+def test_the_time_left_is_that_of_all_stages_by_how_quick_those_before_were() -> None:
+    usual = {Step(name, "Church"): 60.0 for name in ("simulate", *STAGES)}
+    first, second, *_ = usual
+    assert _how_far(second, usual, {first: 120.0}) == "stage 1 of 7 · about 14 min left"
+    assert _how_far(first, {**usual, second: None}, {}) == "captures first"
 
 
 def test_a_signal_ends_a_run_with_its_stage(tmp_path: Path) -> None:
