@@ -1,6 +1,7 @@
-"""What `inspect` advises for the next walk follows from the capture; its exit status says whether it can be used."""
+"""The page of `inspect`: its figures are those of the walk, and its advice follows from them."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +11,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from groundwalk.capture_import.inspection import inspect_capture
+from groundwalk.capture_page import Look, advice, capture_page, look_at
 from groundwalk.cli import app
 from groundwalk.geometry.poses import make_pose
 from tests.capture_import.capture_writers import WIDTH, Walk, make_walk, write_frames_jsonl
 
-TURN_RAD_S, EXPOSURE_S = 0.5, 0.1
+TURN_RAD_S, EXPOSURE_S = 0.5, 0.02
 
 
 def turning_walk(folder: Path, states: bool, brightness: float = 1.0) -> None:
@@ -33,36 +36,51 @@ def turning_walk(folder: Path, states: bool, brightness: float = 1.0) -> None:
         (folder / "frames.jsonl").write_text("\n".join(lines))
 
 
-def inspected(folder: Path, status: int = 0) -> str:
-    """What is advised."""
-    done = CliRunner().invoke(app, ["inspect", str(folder)])
-    assert done.exit_code == status, done.output
-    return done.output.partition("in the next walk")[2]
+def looked_at(folder: Path) -> tuple[list[Look], list[str]]:
+    looks: list[Look] = []
+    lines = list(
+        inspect_capture(
+            folder, look=lambda sessions, up, reader: looks.extend(look_at(s, up, reader) for s in sessions)
+        )
+    )
+    return looks, lines
 
 
 def test_blur_is_that_of_the_turn(tmp_path: Path) -> None:
     turning_walk(tmp_path / "walk", states=True)
-    blur_px = make_walk().camera[0, 0] * TURN_RAD_S * EXPOSURE_S
-    said = inspected(tmp_path / "walk")
-    assert (
-        f"turn more slowly, or have more light (in a tenth of images what is far away blurs by {blur_px:.0f} px" in said
-    )
-    assert "walk more slowly" not in said and "have more light (brightness" not in said
+    ((look,), lines) = looked_at(tmp_path / "walk")
+    focal = np.array([image.camera.fx for image in look.session.images])
+    np.testing.assert_allclose(look.blur_px(look.exposures_s), focal * TURN_RAD_S * EXPOSURE_S, rtol=1e-3)
+    np.testing.assert_allclose(look.speed_m_s, 1.0, rtol=1e-3)
+    page = capture_page("walk", [look], lines)
+    assert f"{np.median(focal) * TURN_RAD_S * EXPOSURE_S:.1f} px</b><span>blur length of what is far away" in page
 
 
-def test_the_dark_and_a_walk_without_a_loop_are_told(tmp_path: Path) -> None:
+def test_what_is_not_stated_is_said_to_be_unknown_and_the_dark_is_told(tmp_path: Path) -> None:
     turning_walk(tmp_path / "walk", states=False, brightness=0.2)
-    said = inspected(tmp_path / "walk")
-    assert "have more light (brightness" in said and "come back to where you were, with the same view" in said
-    assert "blurs" not in said and "record a second walk over the same ground" in said
+    looks, lines = looked_at(tmp_path / "walk")
+    page = capture_page("walk", looks, lines)
+    assert "unknown</b><span>blur length" in page
+    told = {what for _, what, _ in advice(looks)}
+    assert {"have more light", "come back to where you were, with the same view"} <= told
 
 
-def test_photos_need_poses(tmp_path: Path) -> None:
-    noise = np.random.default_rng(0).integers(0, 255, (4, 72, WIDTH, 3), np.uint8)
-    for n, picture in enumerate(noise):
-        cv2.imwrite(str(tmp_path / f"{n}.jpg"), picture)
-    said = inspected(tmp_path)
-    assert "record with an app that logs poses" in said and "4 images; 60 or more" in said
+@pytest.mark.parametrize("kind", ["walk", "photos"])
+def test_the_command_writes_one_file_of_any_capture(tmp_path: Path, kind: str) -> None:
+    if kind == "walk":
+        write_frames_jsonl(tmp_path / "x", make_walk())
+    else:
+        (tmp_path / "x").mkdir()
+        noise = np.random.default_rng(0).integers(0, 255, (4, 72, WIDTH, 3), np.uint8)
+        for n, picture in enumerate(noise):
+            cv2.imwrite(str(tmp_path / "x" / f"<b>{n}.jpg"), picture)
+    page = tmp_path / "page.html"
+    done = CliRunner().invoke(app, ["inspect", str(tmp_path / "x"), "--html", str(page)])
+    assert done.exit_code in (0, 1) and f"look at {page}" in done.output
+    html = page.read_text()
+    assert "<b>0.jpg" not in html and not re.search(r"(src|href)=.(?!data:|#)", html)
+    assert html.count("data:image/jpeg") == (12 if kind == "walk" else 4)
+    assert ('class="vio"' in html) == (kind == "walk")
 
 
 @pytest.mark.parametrize(("unit_m", "status"), [(1.0, 0), (1e-3, 1)])
@@ -70,4 +88,9 @@ def test_the_exit_status_says_whether_a_capture_can_be_used(tmp_path: Path, unit
     walk = make_walk()
     poses = make_pose(walk.vio_T_cam[:, :3, :3], walk.vio_T_cam[:, :3, 3] / unit_m)
     write_frames_jsonl(tmp_path / "walk", replace(walk, vio_T_cam=poses))
-    inspected(tmp_path / "walk", status)
+    assert CliRunner().invoke(app, ["inspect", str(tmp_path / "walk")]).exit_code == status
+
+
+def test_a_page_that_cannot_be_written_is_refused_first(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["inspect", str(tmp_path), "--html", str(tmp_path / "no" / "page.html")])
+    assert done.exit_code != 0 and "can't be written there" in str(done.exception) + done.output
