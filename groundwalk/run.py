@@ -84,7 +84,7 @@ class Run:
     def view(self, *, web: bool = False) -> None:
         """Open the recordings of the finished stages in the Rerun viewer, or `web` in a browser; returns when it is
         closed. UserError where there is none."""
-        from groundwalk.store.viewer import view_run
+        from groundwalk.store.web_viewer import view_run
 
         view_run(self.folder, web=web)
 

@@ -12,7 +12,7 @@ from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.errors import UserError
 from groundwalk.store.locks import locked
 from groundwalk.store.settings import DataRoot
-from groundwalk.store.viewer import view_run
+from groundwalk.store.web_viewer import view_run
 
 app = new_app("Look at, link and remove what the stages made.")
 
