@@ -74,6 +74,9 @@ simulate: | $(installed) #! Simulate the scene's captures, where it has none
 paper: | $(installed) #! All six scenes, one regressor for all outdoors and one indoors, and one page; profile paper (profile=demo: hours)
 	@$(py) -m groundwalk run --scene paper --profile "$(if $(profile_is_given),$$profile,paper)"
 
+plan: | $(installed) #! What the paper's six scenes would take, by finished runs; profile paper
+	@$(py) -m groundwalk plan --profile "$(if $(profile_is_given),$$profile,paper)"
+
 public: $(installed) #! Scenes of 7-Scenes and Cambridge Landmarks, up to train, and their table: captures=<folder with chess, ...>; a GPU for a day
 	@$(py) -m benchmarks.datasets --captures "$$captures" --profile "$(if $(profile_is_given),$$profile,paper)"
 
@@ -179,4 +182,4 @@ help-dev: #! This text
 	@grep -hE '^[a-z-]+:.*#! ' $(MAKEFILE_LIST) | sed 's/:.*#! /\t/' | expand -t 22 | sed 's/^/  /'
 
 .NOTPARALLEL:
-.PHONY: all judge $(stages) simulate install paper public view clean check lint types test test-slow test-faults audit bench-localise bench-phone bench-regressors bench-recovery bench-scale bench-campaign bench-steps bench-gates bench-real bench-images bench-cameras bench-blurring docs docs-site pictures test-page lock help help-dev
+.PHONY: all judge $(stages) simulate install paper plan public view clean check lint types test test-slow test-faults audit bench-localise bench-phone bench-regressors bench-recovery bench-scale bench-campaign bench-steps bench-gates bench-real bench-images bench-cameras bench-blurring docs docs-site pictures test-page lock help help-dev

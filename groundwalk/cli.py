@@ -54,6 +54,7 @@ COMMANDS = {
     "Whole scenes": [
         Command("judge", "Say which frames of a capture can be trusted: a page.", "commands", "judge"),
         Command("run", "Run all stages of a scene in order, as far as needed.", "commands", "run"),
+        Command("plan", "Say what runs would take, by finished ones.", "planning"),
         Command("campaign", "Run many scenes, on this machine or a cluster.", "campaign"),
         Command("add", "Add a recording to a finished ground truth.", "adding", "add"),
         Command("remove", "Take a recording out of a ground truth.", "adding", "remove"),

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from groundwalk.store.files import STOPPED, partial_folder, read_json
 from groundwalk.store.manifests import MANIFEST, is_manifest, outdated_stages
@@ -51,14 +51,25 @@ def runs_in(data: DataRoot, scene: str = "*") -> Iterator[RunFiles]:
             )
 
 
-class Cost(NamedTuple):
-    """Seconds on the clock, and the most memory at once; 0 where a manifest doesn't say."""
+@dataclass(frozen=True)
+class Finished:
+    """A finished stage of a run, and what it took; 0 where its manifest doesn't say."""
 
-    seconds: float
-    mib: float
+    folder: Path
+    manifest: dict[str, Any]
+
+    @property
+    def seconds(self) -> float:
+        """On the clock."""
+        return float(self.manifest.get("total_seconds") or 0)
+
+    @property
+    def mib(self) -> float:
+        """The most memory at once."""
+        return float(self.manifest.get("peak_memory_mib") or 0)
 
 
-def finished_stages(data: DataRoot, stage: str, profile: str) -> list[Cost]:
-    """What a stage took in each run of a profile that has finished it."""
-    manifests = map(read_json, (data.root / "runs").glob(f"{profile}/*/{stage}/{MANIFEST}"))
-    return [Cost(float(m.get("total_seconds") or 0), float(m.get("peak_memory_mib") or 0)) for m in manifests]
+def finished_stages(data: DataRoot, stage: str, profile: str = "*") -> list[Finished]:
+    """The runs of a data folder that have finished a stage, of one profile or of all."""
+    paths = sorted((data.root / "runs").glob(f"{profile}/*/{stage}/{MANIFEST}"))
+    return [Finished(path.parent, read_json(path)) for path in paths]
