@@ -12,7 +12,7 @@ import numpy as np
 
 from groundwalk.alignment.components import NO_SCALE, MapScale, RecordingVertical, Vertical
 from groundwalk.alignment.segments import Segment
-from groundwalk.consistency.scale import STEP_M, STEP_SCALE_SD, recording_scale, robust_mean
+from groundwalk.consistency.scale import recording_scale, robust_mean
 from groundwalk.geometry.fits import direction_angles, fit_robust, mean_direction
 from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import VerticalSource
@@ -34,7 +34,7 @@ def common_scale(segments: list[Segment]) -> MapScale:
     scales = {}
     for recording in sorted({s.recording for s in segments}):
         pairs = [s.trajectory_pair for s in segments if s.recording == recording]
-        scale = recording_scale(pairs, step_m=STEP_M, step_sd=STEP_SCALE_SD)
+        scale = recording_scale(pairs)
         if scale is not None:
             scales[recording] = scale
     if not scales:

@@ -4,7 +4,7 @@ import numpy as np
 
 from groundwalk.alignment.components import Component, PlacedComponent, Unlinked, VioLink
 from groundwalk.alignment.segments import Segment
-from groundwalk.consistency.vio_drift import VIO_DRIFT
+from groundwalk.consistency.vio_drift import drift_m, drift_rad
 from groundwalk.consistency.windows import POSE_SD, WINDOW_M, PoseSd, fit_rigid
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, rotation_angle, transform
@@ -106,7 +106,7 @@ def _objection(component: Component, candidates: list[PlacedComponent], max_link
         if other.gap_m > max_link_m:
             continue
         path_m = link.path_m + other.path_m
-        limit_m, limit_rad = float(VIO_DRIFT.metres(path_m)), float(VIO_DRIFT.radians(path_m))
+        limit_m, limit_rad = float(drift_m(path_m)), float(drift_rad(path_m))
         turn = float(rotation_angle(other_S_sfm.rotation @ map_S_sfm.rotation.T))
         shift_m = float(np.linalg.norm(other_S_sfm.points(anchor) - link.anchor))
         arm_m = float(np.linalg.norm(link.anchor - other.anchor))

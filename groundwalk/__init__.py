@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pandas as pd
 
-    from groundwalk.run import Run, pose_array, rigid_transforms
+    from groundwalk.run import Run, pose_array
     from groundwalk.runtime.bundle import open_bundle
     from groundwalk.store.errors import UserError
 
-__all__ = ["Run", "UserError", "open", "open_bundle", "pose_array", "rigid_transforms", "runs"]
+__all__ = ["Run", "UserError", "open", "open_bundle", "pose_array", "runs"]
 
 
 def open(scene_or_folder: str | PathLike[str], *, profile: str = "demo", data: str | PathLike[str] = "data") -> "Run":
@@ -53,7 +53,6 @@ _MODULES = {
     "UserError": "store.errors",
     "open_bundle": "runtime.bundle",
     "pose_array": "run",
-    "rigid_transforms": "run",
 }
 
 

@@ -31,21 +31,18 @@ class Command:
     subcommand: str | None = None
     is_stage: bool = False
 
-    def load(self, *, for_completion: bool = False) -> Any:
-        """The command itself. For completion a stage is left out: all stages have the same options."""
+    def load(self) -> Any:
+        """The command itself."""
         if not self.is_stage:
             command: Any = get_command(import_module(f"groundwalk.{self.module}").app)
             return command.commands[self.subcommand] if self.subcommand else command
-        app = new_app("")
-        shown: dict[str, Any] = {}
-        if not for_completion:
-            stage = self.stage()
-            shown = {"help": stage.help, "epilog": settings_help(self.name, stage.settings)}
+        app, stage = new_app(""), self.stage()
 
         def write_index(data: DataRoot) -> None:
             import_module("groundwalk.reports.runs_index").write_index(data)
 
-        app.command(self.name, **shown)(stage_command(self.name, self.stage, write_index))
+        epilog = settings_help(self.name, stage.settings)
+        app.command(self.name, help=stage.help, epilog=epilog)(stage_command(stage, write_index))
         return get_command(app)
 
     def stage(self) -> Any:
@@ -63,7 +60,6 @@ COMMANDS = {
         Command("remove", "Take a recording out of a ground truth.", "adding", "remove"),
         Command("compare", "Compare runs: settings, and figures beyond noise.", "commands", "compare"),
         Command("scenes", "List scenes, profiles and finished stages.", "commands", "scenes"),
-        Command("link-captures", "Use a folder of phone captures as a scene.", "store.__main__", "link-captures"),
         Command("simulate", "Simulate captures of a scene that has none.", "simulation.__main__"),
         Command("view", "Open a scene's recordings in the Rerun viewer.", "store.__main__", "view"),
         Command("clean", "Remove a scene's results and simulated captures.", "store.__main__", "clean"),
@@ -119,7 +115,7 @@ class _LoadedWhenRun(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         name, command, rest = super().resolve_command(ctx, args)
         record = next((c for c in all_commands() if c.name == name), None)
-        return name, record.load(for_completion=ctx.resilient_parsing) if record else command, rest
+        return name, record.load() if record else command, rest
 
 
 app = new_app(

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from groundwalk.pipeline import USER_ERROR, Reported, run_steps, steps
 from groundwalk.store import progress
-from groundwalk.store.__main__ import link_captures
+from groundwalk.store.__main__ import link_folder
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import STOPPED, link_or_copy, partial_folder, read_json, write_json, written_aside
@@ -37,7 +37,7 @@ CapturesOption = Annotated[
     Path | None,
     typer.Option(help="A folder of phone captures that the scene is to use; it is linked, not copied."),
 ]
-UntilOption = Annotated[str, typer.Option(help="The last stage to run.", autocompletion=lambda: list(STAGES))]
+UntilOption = Annotated[str, typer.Option(help="The last stage to run.")]
 
 
 @app.command()
@@ -54,7 +54,8 @@ def run(
     """
     root = DataRoot(data)
     if captures is not None:
-        link_captures(scene, captures, data)
+        link_folder(root, scene, captures)
+        progress.stdout.print(f"{root.captures(scene)} → {captures}")
     run_steps(steps(root, profile, scene, until), profile, root)
     report = root.run(profile, scene, "report")
     if verdict := read_json(report / VERDICT):  # a group of scenes has one for each
@@ -129,7 +130,7 @@ def judge(
         (captures / folder.name).unlink(missing_ok=True)
         link_or_copy(folder, captures / folder.name)
     elif capture_files(folder):
-        link_captures(name, folder, root.root)
+        link_folder(root, name, folder)
     else:
         expected = "a folder of phone captures, photos or videos"
         empty = UserError("the folder is empty", where=folder, expected=expected)

@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from pyarrow.parquet import read_metadata
-from scipy.spatial.transform import RigidTransform
 
 from groundwalk.geometry.poses import Array
 from groundwalk.store.errors import UserError
@@ -300,21 +299,6 @@ def pose_array(table: pd.DataFrame, group: str = "map_cam") -> Array:
     if group not in groups:
         raise UserError(f"the table has no poses {group!r}", expected=f"one of {', '.join(groups) or 'none'}")
     return poses_of(table, group)
-
-
-def rigid_transforms(table: pd.DataFrame, group: str = "map_cam") -> RigidTransform:
-    """A pose group of a table as scipy's RigidTransform of N poses; see `pose_array`.
-
-    Raises UserError where the table has no such group, or a row without a pose, which a RigidTransform can't hold.
-    """
-    poses = pose_array(table, group)
-    missing = int(np.isnan(poses).any(axis=(1, 2)).sum())
-    if missing:
-        raise UserError(
-            f"{missing} of {len(poses)} rows have no pose {group!r}",
-            do=f'leave them out: table.dropna(subset=["{group}_tx"])',
-        )
-    return RigidTransform.from_matrix(poses)
 
 
 def _schema(stage: str, table: str) -> TableSchema:

@@ -35,17 +35,9 @@ def is_made(final: Path, key: str) -> bool:
     can't be put there, or the simulator didn't write what is there."""
     for folder in (final, partial_folder(final)):
         refuse_irreplaceable(folder)
-    finish_interrupted_swap(final, SIMULATED_MARKER, written_files)
+    finish_interrupted_swap(final, SIMULATED_MARKER, simulated_files)
     marker = _simulator_marker(final)
     return marker is not None and marker.get("key") == key
-
-
-def written_files(folder: Path) -> set[str]:
-    """The files of a capture folder that the simulator wrote; none where its marker doesn't list them."""
-    try:
-        return simulated_files(folder)
-    except ValueError:
-        return set()
 
 
 def _simulator_marker(folder: Path) -> dict[str, Any] | None:
@@ -60,11 +52,11 @@ def _simulator_marker(folder: Path) -> dict[str, Any] | None:
             expected=f"an empty folder, or one with {SIMULATED_MARKER}",
             do="use them as they are, or move them away to simulate this scene",
         )
-    try:
-        foreign = sorted({*file_names(folder)} - simulated_files(folder))
-    except ValueError as error:
-        raise UserError("the marker of simulated captures is damaged", where=folder, found=error) from None
-    if foreign:
+    files = simulated_files(folder)
+    if not files:
+        found = f"{SIMULATED_MARKER} doesn't list its sessions"
+        raise UserError("the marker of simulated captures is damaged", where=folder, found=found)
+    if foreign := sorted({*file_names(folder)} - files):
         raise UserError(
             "the folder of simulated captures holds other files",
             where=folder,

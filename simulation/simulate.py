@@ -11,7 +11,7 @@ import pandas as pd
 
 from groundwalk.simulation.atlas import TexturedMesh, is_saved
 from groundwalk.simulation.capture import write_frames
-from groundwalk.simulation.existing import is_made, key_of, written_files
+from groundwalk.simulation.existing import is_made, key_of
 from groundwalk.simulation.mesh import build_mesh
 from groundwalk.simulation.render import Renderer
 from groundwalk.simulation.scenes import NAMES, scenery
@@ -27,7 +27,7 @@ from groundwalk.store.resuming import run_resumable
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import resolve_settings
 from groundwalk.store.signals import signals_held_from_workers
-from groundwalk.store.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES
+from groundwalk.store.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES, simulated_files
 from groundwalk.store.tables import pose_frame, write_table
 
 _MESH = "mesh"
@@ -82,7 +82,7 @@ def simulate(
         }
         shutil.rmtree(work / _MESH)
         write_json(work / SIMULATED_MARKER, content)
-        swap_in(work, final, written_files)
+        swap_in(work, final, simulated_files)
     images = sum(len(s.shots) for s in sessions)
     console.print(f"{title}: {len(sessions)} sessions, {images} images → {final}")
     return final

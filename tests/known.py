@@ -1,7 +1,8 @@
 """What a test knows and types don't say: that a value is there, that a file is a picture, what a table's cells are;
 tables of any schema, and those of a run of profile tiny; import's frames as of images alone."""
 
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,6 +24,20 @@ _PLAIN = {"float64": 0.0, "int64": 0, "bool": False, "string": "", "list<float64
 def there(value: T | None) -> T:
     assert value is not None
     return value
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it took too long"
+        time.sleep(0.02)
+
+
+def written(path: Path, text: str) -> Path:
+    """A new text file, in folders that are made where they aren't there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
 
 
 def read_picture(path: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[Any]:

@@ -16,7 +16,6 @@ from groundwalk.alignment.sfm_tables import FocalEstimate, SfmTables
 from groundwalk.consistency.decisions import Status, fraction_sd
 from groundwalk.consistency.diagnosis import MAX_ALIASED_FRACTION, MAX_TURN_GAIN_ERROR, Diagnosis, diagnose
 from groundwalk.consistency.motions import MIRRORED, MISTAKE_REASONS, UNRELATED, UPSIDE_DOWN
-from groundwalk.consistency.vio_drift import VIO_DRIFT
 from groundwalk.geometry.fits import direction_angles
 from groundwalk.store.choices import CheckName, FailureCause
 
@@ -57,7 +56,7 @@ def check_sessions(component: Component, sfm: SfmTables, settings: AlignSettings
         of_focal = check_focal_length(about.subject, rows, focal, settings.max_focal_error)
         found = [of_focal]
         if any(segment.has_vio.any() for segment in segments):
-            diagnosis = diagnose([s.trajectory_pair for s in segments], VIO_DRIFT)
+            diagnosis = diagnose([s.trajectory_pair for s in segments])
             # Pairs of its images, without any model, move as VIO does: images and poses belong together, and the model
             # is what is wrong.
             pairs_match = sfm.pairs_match_vio(session_id)

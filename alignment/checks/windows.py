@@ -9,8 +9,7 @@ from groundwalk.alignment.checks.results import CheckResult, Exclusion, Failure,
 from groundwalk.alignment.components import Component
 from groundwalk.alignment.segments import SegmentWindow
 from groundwalk.consistency.decisions import SIGMAS, beyond, within
-from groundwalk.consistency.vio_drift import VIO_DRIFT
-from groundwalk.consistency.windows import POSE_SD, WINDOW_M, compare_windows
+from groundwalk.consistency.windows import compare_windows
 from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import CheckName, FailureCause
 
@@ -25,7 +24,7 @@ def component_windows(component: Component, frame_sd: tuple[Array, Array]) -> li
         compared, pair = np.flatnonzero(segment.has_both), segment.trajectory_pair
         metric = pair._replace(sfm_T_cam=component.metric_S_sfm.poses(pair.sfm_T_cam))
         sd_m, sd_rad = (np.nan_to_num(sd[segment.rows[compared]]) for sd in frame_sd)
-        found = compare_windows(metric, WINDOW_M, VIO_DRIFT, POSE_SD, frame_sd=(sd_m, sd_rad))
+        found = compare_windows(metric, frame_sd=(sd_m, sd_rad))
         windows += [SegmentWindow(**{**vars(w), "inside": compared[w.inside]}, segment=segment) for w in found]
     return windows
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from groundwalk.consistency.motions import MIN_STEP_M, MIN_TURN, MotionAgreement, compare_motions
 from groundwalk.consistency.trajectories import TrajectoryPair
-from groundwalk.consistency.vio_drift import VioDrift
+from groundwalk.consistency.vio_drift import drift_m, drift_rad
 from groundwalk.geometry.poses import Array, relative, rotation_angle
 
 MAX_TURN_GAIN_ERROR = 0.03
@@ -33,7 +33,7 @@ class Diagnosis:
     aliased_m: float
 
 
-def diagnose(parts: Sequence[TrajectoryPair], drift: VioDrift) -> Diagnosis:
+def diagnose(parts: Sequence[TrajectoryPair]) -> Diagnosis:
     """Diagnose one session's frames in one model; `parts` are its parts between all VIO jumps."""
     pairs = [_near_pairs(part.vio_T_cam) for part in parts]
     sfm, vio = (
@@ -52,7 +52,7 @@ def diagnose(parts: Sequence[TrajectoryPair], drift: VioDrift) -> Diagnosis:
         is_right[a[agree]] = is_right[b[agree]] = True
         if np.isfinite(scale) and is_right.any():
             right = TrajectoryPair(*(each[is_right] for each in part))
-            count, distance_m = _aliased(right, scale, drift)
+            count, distance_m = _aliased(right, scale)
             aliased, max_distance_m = aliased + count, max(max_distance_m, distance_m)
     return Diagnosis(frames, motions, aliased / max(frames, 1), max_distance_m)
 
@@ -84,7 +84,7 @@ def _step_scale(sfm: Array, vio: Array) -> float:
     return float(np.median(metres[moved] / units[moved])) if moved.any() else float("nan")
 
 
-def _aliased(part: TrajectoryPair, scale: float, drift: VioDrift) -> tuple[int, float]:
+def _aliased(part: TrajectoryPair, scale: float) -> tuple[int, float]:
     """How many frames lie where others do that are far away in VIO, beyond its drift; and the largest distance, metres.
 
     Where a walk comes back, VIO is off by its drift in position, and by what the error of its heading did on the way:
@@ -100,7 +100,7 @@ def _aliased(part: TrajectoryPair, scale: float, drift: VioDrift) -> tuple[int, 
         sfm_m = np.linalg.norm(sfm[rows, None] - sfm[None], axis=2)
         between = np.abs(travelled[rows, None] - travelled[None])
         reach = np.maximum.accumulate(np.where(later, vio_m, 0.0), axis=1)
-        limit_m = 2 * drift.metres(between) + drift.radians(between) * reach / 2
+        limit_m = 2 * drift_m(between) + drift_rad(between) * reach / 2
         merged = later & (sfm_m < _MAX_DISTANCE_RATIO * vio_m) & (vio_m - sfm_m > limit_m)
         aliased[rows] |= merged.any(axis=1)
         aliased |= merged.any(axis=0)

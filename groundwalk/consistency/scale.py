@@ -10,8 +10,8 @@ from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import ROBUST_TOLERANCE, fit_robust
 from groundwalk.geometry.poses import Array, path_length, relative
 
-STEP_M = 1.0
-"""Path of the steps that give the scale, at most: a shorter walk has shorter ones, so that it has several."""
+# Path of the steps that give the scale, at most: a shorter walk has shorter ones, so that it has several.
+_STEP_M = 1.0
 STEP_SCALE_SD = 0.03
 """Expected scale error of a step of a metre, as a fraction."""
 
@@ -38,27 +38,21 @@ class Scale:
     steps: int
 
 
-def recording_scale(
-    parts: Sequence[TrajectoryPair],
-    *,
-    step_m: float,
-    step_sd: float,
-    tolerance: float = ROBUST_TOLERANCE,
-) -> Scale | None:
+def recording_scale(parts: Sequence[TrajectoryPair], tolerance: float = ROBUST_TOLERANCE) -> Scale | None:
     """The scale of a recording's parts in one model: the robust mean over steps of VIO path, one after the other,
     weighted by their certainty; None where its standard error is above a third.
 
-    Steps are of `step_m`, and of an eighth of a path that is shorter than eight of these. `step_sd`: the
-    expected error of the scale of a step of a metre, as a fraction; a random walk's error grows with the root of the
-    length, and noise of the ends doesn't grow. The standard error is that of the observed scatter, and of what is
-    expected of the whole path. Raises GeometryError where SfM puts frames in one place that VIO says are apart.
+    Steps are of a metre, and of an eighth of a path that is shorter than eight of these. The expected error of a step's
+    scale is that of a random walk, which grows with the root of the length, and noise of the ends, which doesn't. The
+    standard error is that of the observed scatter, and of what is expected of the whole path. Raises GeometryError
+    where SfM puts frames in one place that VIO says are apart.
     """
     parts = [part for part in parts if len(part.vio_T_cam) >= _MIN_FRAMES]
     total_m = sum(float(path_length(part.vio_T_cam[:, :3, 3])[-1]) for part in parts)
     # Steps (M, 3) of VIO's path, by SfM and by VIO.
     steps = [np.empty((2, 0, 3))]
     for part in parts:
-        a, b = path_steps(path_length(part.vio_T_cam[:, :3, 3]), min(step_m, total_m / _MIN_STEPS))
+        a, b = path_steps(path_length(part.vio_T_cam[:, :3, 3]), min(_STEP_M, total_m / _MIN_STEPS))
         steps.append(np.stack([relative(T[a], T[b])[:, :3, 3] for T in (part.sfm_T_cam, part.vio_T_cam)]))
     sfm, vio = np.concatenate(steps, axis=1)
     length, squared = np.linalg.norm(vio, axis=1), np.sum(sfm * sfm, axis=1)
@@ -72,19 +66,19 @@ def recording_scale(
     median = float(np.median(by_length))
     # SfM's step is the more certain one: VIO's is laid along it, so that VIO's sideways errors don't lengthen it.
     ratio = np.sum(sfm * vio, axis=1) / squared / median
-    sd = np.hypot(step_sd / np.sqrt(length), _LENGTH_SD_M / length)
-    mean, robust = robust_mean(ratio, sd**-2, sd / step_sd, _STEP_FLOOR, tolerance)
+    sd = np.hypot(STEP_SCALE_SD / np.sqrt(length), _LENGTH_SD_M / length)
+    mean, robust = robust_mean(ratio, sd**-2, sd / STEP_SCALE_SD, _STEP_FLOOR, tolerance)
     goes_along = mean >= _MIN_STEP_RATIO
     if not goes_along:
         # The steps go other ways, as where times are shuffled. Their lengths give a scale to show that with.
         ratio = by_length / median
-        mean, robust = robust_mean(ratio, sd**-2, sd / step_sd, _STEP_FLOOR, tolerance)
+        mean, robust = robust_mean(ratio, sd**-2, sd / STEP_SCALE_SD, _STEP_FLOOR, tolerance)
     weight = robust * sd**-2
     effective = max(1.0, float(weight.sum() ** 2 / np.sum(weight**2)))
     scatter = float(np.sum(weight * (ratio - mean) ** 2) / weight.sum()) / max(1.0, effective - 1)
     # As if one more metre were as wrong as a metre is expected to be: few steps mustn't look certain.
     walked_m = float(np.sum(robust * length))
-    expected = step_sd**2 / (walked_m * max(walked_m, 1.0))
+    expected = STEP_SCALE_SD**2 / (walked_m * max(walked_m, 1.0))
     # Noise makes any length longer, all steps alike.
     noise = (_LENGTH_SD_M * len(length) / walked_m) ** 2 / (effective if goes_along else 1.0)
     relative_sd = float(np.sqrt(scatter + expected + noise)) / mean

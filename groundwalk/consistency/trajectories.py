@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from groundwalk.geometry.poses import Array
 
 # Frames that a window needs so that a robust fit of 7 unknowns sees which of them is wrong.
-MIN_WINDOW_FRAMES = 6
+_MIN_FRAMES = 6
 
 
 class TrajectoryPair(NamedTuple):
@@ -21,12 +21,12 @@ class TrajectoryPair(NamedTuple):
     travelled_m: Array
 
 
-def path_windows(travelled_m: Array, length_m: float, min_frames: int = MIN_WINDOW_FRAMES) -> list[NDArray[np.intp]]:
+def path_windows(travelled_m: Array, length_m: float) -> list[NDArray[np.intp]]:
     """Indices (k,) of the frames in windows of `length_m` of a path, each half over the next; `travelled_m` (n,) is how
     far along it each frame lies.
 
     The windows are spread so that the last one ends with the path; a shorter path is one window. Where frames are far
-    apart a window is longer, so that it has `min_frames`; a path of fewer is one window.
+    apart a window is longer, so that it has six frames; a path of fewer is one window.
     """
     count = len(travelled_m)
     total_m = float(travelled_m[-1])
@@ -36,8 +36,8 @@ def path_windows(travelled_m: Array, length_m: float, min_frames: int = MIN_WIND
     slack = 1e-9 * (1 + total_m)
     first = np.searchsorted(travelled_m, starts - slack)
     last = np.searchsorted(travelled_m, starts + length_m + slack, side="right")
-    last = np.minimum(np.maximum(last, first + min_frames), count)
-    first = np.maximum(np.minimum(first, last - min_frames), 0)
+    last = np.minimum(np.maximum(last, first + _MIN_FRAMES), count)
+    first = np.maximum(np.minimum(first, last - _MIN_FRAMES), 0)
     return [np.arange(a, b) for a, b in dict.fromkeys(zip(first.tolist(), last.tolist(), strict=True))]
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from groundwalk.consistency.decisions import beyond
 from groundwalk.consistency.trajectories import TrajectoryPair, path_windows
-from groundwalk.consistency.vio_drift import VioDrift
+from groundwalk.consistency.vio_drift import DRIFT_M, DRIFT_M_PER_M, drift_rad
 from groundwalk.geometry.fits import ROBUST_TOLERANCE, fit_poses, fit_robust, pose_residuals
 from groundwalk.geometry.poses import Array
 
@@ -82,9 +82,6 @@ def fit_rigid(
 
 def compare_windows(
     metric: TrajectoryPair,
-    window_m: float,
-    drift: VioDrift,
-    sd: PoseSd,
     tolerance: float = ROBUST_TOLERANCE,
     frame_sd: tuple[Array, Array] | None = None,
 ) -> list[WindowResiduals]:
@@ -98,11 +95,11 @@ def compare_windows(
         return []
     position_sd_m, rotation_sd = np.zeros((2, len(vio_T_cam))) if frame_sd is None else frame_sd
     compared = []
-    for inside in path_windows(travelled_m, window_m):
-        _, metres, radians = fit_rigid(metric_T_cam[inside], vio_T_cam[inside], sd, tolerance=tolerance)
+    for inside in path_windows(travelled_m, WINDOW_M):
+        _, metres, radians = fit_rigid(metric_T_cam[inside], vio_T_cam[inside], POSE_SD, tolerance=tolerance)
         length_m = travelled_m[inside[-1]] - travelled_m[inside[0]]
-        growing_m = drift.m_per_m * length_m
-        limit_m = float(growing_m + min(drift.m, max(_MIN_CONSTANT_FRACTION * drift.m, growing_m)))
-        limits = limit_m, float(drift.radians(length_m))
+        growing_m = DRIFT_M_PER_M * length_m
+        limit_m = float(growing_m + min(DRIFT_M, max(_MIN_CONSTANT_FRACTION * DRIFT_M, growing_m)))
+        limits = limit_m, float(drift_rad(length_m))
         compared.append(WindowResiduals(inside, metres, radians, *limits, position_sd_m[inside], rotation_sd[inside]))
     return compared

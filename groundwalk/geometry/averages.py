@@ -8,16 +8,17 @@ from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, canonical_quaternion
 
 _MAX_ITERATIONS = 10_000
+_TOLERANCE = 1e-12  # of positions relative to their spread, of rotations in radians
 
 
-def geometric_median(points: ArrayLike, tolerance: float = 1e-12) -> Array:
+def geometric_median(points: ArrayLike) -> Array:
     """The point (D,) with the least sum of distances to points (N, D).
 
     Weiszfeld's iteration in the form of Vardi and Zhang (PNAS 97, 2000), which stays defined on a data point, with
     Newton's step taken instead wherever it lowers the cost further: near a data point, or for points close to a line,
-    Weiszfeld's alone all but stands still. Three points have a closed form. For an even number of
-    points on a line, where a whole segment is optimal, the result is one of its points. `tolerance` is relative to the
-    points' spread. Raises GeometryError for no points or a value that isn't finite.
+    Weiszfeld's alone all but stands still. Three points have a closed form. For an even number of points on a line,
+    where a whole segment is optimal, the result is one of its points. Raises GeometryError for no points or a value
+    that isn't finite.
     """
     x = np.asarray(points, dtype=float)
     if x.ndim != 2 or not len(x) or not np.isfinite(x).all():
@@ -50,7 +51,7 @@ def geometric_median(points: ArrayLike, tolerance: float = 1e-12) -> Array:
             target = (1 - hold) * target + hold * y
         else:
             target = _newton(x, y, inverse, target)
-        if np.abs(target - y).max() <= tolerance * spread:
+        if np.abs(target - y).max() <= _TOLERANCE * spread:
             return np.asarray(target)
         y = target
     return np.asarray(y)
@@ -102,7 +103,7 @@ def quaternion_mean(quaternions: ArrayLike) -> Array:
     return canonical_quaternion(aligned.mean(axis=-2))
 
 
-def karcher_mean(quaternions: ArrayLike, tolerance: float = 1e-12) -> Array:
+def karcher_mean(quaternions: ArrayLike) -> Array:
     """The rotation (4,), xyzw, with the least sum of squared angles to quaternions (N, 4).
 
     Riemannian gradient descent from Gramkow's average; unique while all rotations lie within 90 degrees of it.
@@ -113,6 +114,6 @@ def karcher_mean(quaternions: ArrayLike, tolerance: float = 1e-12) -> Array:
     for _ in range(_MAX_ITERATIONS):
         step = (mean.inv() * rotations).as_rotvec().mean(axis=0)
         mean = mean * Rotation.from_rotvec(step)
-        if np.linalg.norm(step) <= tolerance:
+        if np.linalg.norm(step) <= _TOLERANCE:
             break
     return canonical_quaternion(mean.as_quat())

@@ -28,19 +28,9 @@ def view(
     sys.exit(view_run(DataRoot(data).run(profile, scene), web=web))
 
 
-@app.command()
-def link_captures(
-    scene: SceneOption,
-    folder: Annotated[Path, typer.Option(help="A folder of phone captures.")],
-    data: DataOption = Path("data"),
-) -> None:
-    """Make data/captures/<scene> a link to a folder of captures, which stays as it is."""
-    link_folder(DataRoot(data), scene, folder)
-    progress.stdout.print(f"{DataRoot(data).captures(scene)} → {folder}")
-
-
 def link_folder(data: DataRoot, scene: str, folder: Path) -> None:
-    """As `link-captures`. UserError where there is no such folder, and where the scene has captures already."""
+    """Make data/captures/<scene> a link to a folder of captures, which stays as it is. UserError where there is no such
+    folder, and where the scene has captures already."""
     link, folder = data.captures(scene), folder.expanduser()
     if not folder.is_dir():
         raise UserError("the captures folder isn't there", where=folder, expected="a folder of phone captures")

@@ -10,41 +10,19 @@ def _records(module: str, *names: str) -> dict[str, str]:
     return {name: f"groundwalk.{module}:{name.upper().replace('-', '_')}" for name in names}
 
 
-_FORMATS_ELSEWHERE = {
-    "3d_scanner_app": "scanner_app:FORMAT",
-    **{name: f"poses_only:{name.upper()}" for name in ("arkit_logger", "arcore_logger", "invisible_map")},
-}
+def _formats(*names: str) -> dict[str, str]:
+    """Capture formats, each the record FORMAT of a module of its own."""
+    return {name: f"groundwalk.capture_import.formats.{name}:FORMAT" for name in names}
+
 
 BUILTIN: dict[str, dict[str, str]] = {
     "groundwalk.formats": {
-        name: f"groundwalk.capture_import.formats.{_FORMATS_ELSEWHERE.get(name, f'{name}:FORMAT')}"
-        for name in (
-            "3d_scanner_app",
-            "stray_scanner",
-            "record3d",
-            "polycam",
-            "nerf_capture",
-            "scan_capture",
-            "ios_logger",
-            "spectacular_ai",
-            "frames_jsonl",
-            "arkit_logger",
-            "arcore_logger",
-            "invisible_map",
-            "arkit_scenes",
-            "euroc",
-            "tum",
-            "rtabmap",
-            "kitti",
-            "seven_scenes",
-            "cambridge",
-            "colmap",
-            "nerfstudio",
-            "llff",
-            "pose_list",
-            "photos",
-            "video",
-        )
+        "3d_scanner_app": "groundwalk.capture_import.formats.scanner_app:FORMAT",
+        **_formats("stray_scanner", "record3d", "polycam", "nerf_capture", "scan_capture", "ios_logger"),
+        **_formats("spectacular_ai", "frames_jsonl"),
+        **_records("capture_import.formats.poses_only", "arkit_logger", "arcore_logger", "invisible_map"),
+        **_formats("arkit_scenes", "euroc", "tum", "rtabmap", "kitti", "seven_scenes", "cambridge", "colmap"),
+        **_formats("nerfstudio", "llff", "pose_list", "photos", "video"),
     },
     "groundwalk.mappers": _records("sfm.plugins", "incremental", "global"),
     "groundwalk.structure_localisers": _records("localisation.entries", "Map", "HLoc", "HLoc-XFeat"),

@@ -10,7 +10,7 @@ from pathlib import Path
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import CHANGE, KEY_FILE, old_folder, partial_folder, read_json
 from groundwalk.store.locks import lock_file, locked
-from groundwalk.store.manifests import MANIFEST, UNHASHED
+from groundwalk.store.manifests import MANIFEST, listed_files
 from groundwalk.store.settings import STAGES, DataRoot
 from groundwalk.store.simulated import SIMULATED_MARKER, marker_of, simulated_files
 
@@ -70,9 +70,9 @@ def _are_simulators(captures: Path) -> bool:
 
 def _clean_stage(final: Path, cleaned: Cleaned) -> None:
     for folder in (final, old_folder(final)):
-        manifest = read_json(folder / MANIFEST)
-        if _is_folder(folder) and manifest.get("stage") == final.name and isinstance(manifest.get("outputs"), dict):
-            _remove_listed(folder, {*manifest["outputs"], *UNHASHED}, MANIFEST, cleaned)
+        files = listed_files(folder)
+        if _is_folder(folder) and files and read_json(folder / MANIFEST).get("stage") == final.name:
+            _remove_listed(folder, files, MANIFEST, cleaned)
     _remove_partial(partial_folder(final), cleaned)
     lock_file(final).unlink(missing_ok=True)
 
@@ -80,12 +80,10 @@ def _clean_stage(final: Path, cleaned: Cleaned) -> None:
 def _clean_captures(captures: Path, cleaned: Cleaned) -> None:
     for folder in (captures, old_folder(captures)):
         if _is_folder(folder) and marker_of(folder):
-            try:
-                files = simulated_files(folder)
-            except ValueError:
-                cleaned.left.append(folder)
-            else:
+            if files := simulated_files(folder):
                 _remove_listed(folder, files, SIMULATED_MARKER, cleaned)
+            else:
+                cleaned.left.append(folder)
     _remove_partial(partial_folder(captures), cleaned)
 
 

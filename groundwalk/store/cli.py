@@ -20,25 +20,11 @@ if TYPE_CHECKING:
     from groundwalk.store.definition import Stage
 
 
-def _data_of(context: typer.Context) -> DataRoot:
-    return DataRoot(Path(context.params.get("data") or "data"))
-
-
-def _complete_scene(context: typer.Context) -> list[str]:
-    return _data_of(context).scenes()
-
-
-def _complete_profile(context: typer.Context) -> list[str]:
-    return _data_of(context).names("profiles")
-
-
-_SCENE_HELP = "The scene: a folder of data/captures, or one that can be simulated."
-SceneOption = Annotated[str, typer.Option(help=_SCENE_HELP, autocompletion=_complete_scene)]
+SceneOption = Annotated[str, typer.Option(help="The scene: a folder of data/captures, or one that can be simulated.")]
 ProfileOption = Annotated[
     str,
     typer.Option(
-        help="Settings for the whole run: demo, standard, paper or tiny (shipped/profiles), or yours (data/profiles).",
-        autocompletion=_complete_profile,
+        help="Settings for the whole run: demo, standard, paper or tiny (shipped/profiles), or yours (data/profiles)."
     ),
 ]
 DataOption = Annotated[Path, typer.Option(help="The data folder, with captures/ and runs/.")]
@@ -127,15 +113,12 @@ def new_app(help_text: str, **options: Any) -> App:
 def stage_app(stage: "Stage[Any]") -> App:
     """The command line of a stage: without a subcommand it runs the stage."""
     app = new_app(stage.help, epilog=settings_help(stage.name, stage.settings))
-    app.callback(invoke_without_command=True)(stage_command(stage.name, lambda: stage))
+    app.callback(invoke_without_command=True)(stage_command(stage))
     return app
 
 
-def stage_command(
-    name: str, load: "Callable[[], Stage[Any]]", after: Callable[[DataRoot], None] = lambda data: None
-) -> Callable[..., None]:
-    """The function behind a stage's command line; `load` gives the stage when it is run, as its libraries take seconds
-    to import, and `after` is called when it has ended, well or not."""
+def stage_command(stage: "Stage[Any]", after: Callable[[DataRoot], None] = lambda data: None) -> Callable[..., None]:
+    """The function behind a stage's command line; `after` is called when it has ended, well or not."""
 
     def main(
         context: typer.Context,
@@ -149,11 +132,12 @@ def stage_command(
         if context.invoked_subcommand is not None:
             return
         if not scene:
-            raise UserError("no scene was named", do=f"add --scene <name>, for example --scene Church (stage {name})")
+            raise UserError(
+                "no scene was named", do=f"add --scene <name>, for example --scene Church (stage {stage.name})"
+            )
         # Here, as it takes a second, and more than `--help`.
         from groundwalk.store.stage import execute
 
-        stage = load()
         expected = os.environ.get(EXPECTED_VERSION, version_of(stage))
         if expected != version_of(stage):
             raise UserError(

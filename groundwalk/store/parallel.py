@@ -19,10 +19,10 @@ R = TypeVar("R")
 _AHEAD = 4
 
 
-def in_parallel(function: Callable[[T], R], items: Iterable[T], workers: int | None = None) -> Iterator[R]:
-    """`function` of each item, in order, on so many threads (None: as many as there are cores that this process may
-    use); a few items are worked on ahead."""
-    workers = workers or usable_cores()
+def in_parallel(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+    """`function` of each item, in order, on as many threads as there are cores that this process may use; a few items
+    are worked on ahead."""
+    workers = usable_cores()
     pending: deque[Future[R]] = deque()
     with single_threaded_opencv(), ThreadPoolExecutor(workers) as pool:
         for item in items:

@@ -73,9 +73,11 @@ def _copy(source: BinaryIO, target: BinaryIO, failure: list[BaseException]) -> N
                 pass
 
 
-def tabbed(tabs: Iterable[rrb.Container], timeline: str = FRAME_TIMELINE) -> rrb.Blueprint:
-    """A blueprint of tabs over a timeline."""
-    return rrb.Blueprint(rrb.Tabs(*tabs), rrb.TimePanel(timeline=timeline, state="collapsed"), collapse_panels=True)
+def tabbed(tabs: Iterable[rrb.Container]) -> rrb.Blueprint:
+    """A blueprint of tabs over the frames."""
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs), rrb.TimePanel(timeline=FRAME_TIMELINE, state="collapsed"), collapse_panels=True
+    )
 
 
 def set_time(stream: rr.RecordingStream, t_ns: int) -> None:

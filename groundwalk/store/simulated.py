@@ -1,5 +1,6 @@
 """Which files of a capture folder the simulator wrote, and what it made, by the marker that it left."""
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ TRUE_POSES = "true_poses.parquet"
 TRUE_CAMERAS = "true_cameras.parquet"
 TRUTH_FILES = (TRUE_POSES, TRUE_CAMERAS)
 FRAME = "frame_{:05d}"
-_MAX_DIGITS = 20
+_FRAME_FILE = re.compile(r"frame_([0-9]{5,20})\.(json|jpg)")
 _MAX_MARKER_BYTES = 4 << 20
 
 
@@ -30,28 +31,25 @@ def marker_of(captures: Path) -> dict[str, Any]:
 
 
 def simulated_files(captures: Path) -> set[str]:
-    """The files of a simulated capture folder, relative to it, that its marker stands for.
-
-    Raises ValueError where the marker doesn't say which sessions there are.
-    """
+    """The files of a simulated capture folder, relative to it, that its marker stands for; none where the marker
+    doesn't say which sessions there are."""
     try:
         counts = {
-            name: (int(count["poses"]), count["poses"] // count["images"])
+            name: (int(count["poses"]), max(count["poses"] // count["images"], 1))
             for name, count in marker_of(captures)["sessions"].items()
         }
-    except (AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError, OverflowError) as error:
-        raise ValueError(f"{SIMULATED_MARKER} doesn't list its sessions: {error!r}") from None
+    except (AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError, OverflowError):
+        return set()
 
     def is_listed(file: str) -> bool:
         session, _, name = file.rpartition("/")
         if session not in counts:
             return file in (SIMULATED_MARKER, *TRUTH_FILES)
-        poses, every = counts[session]
-        stem, _, suffix = name.rpartition(".")
-        digits = stem.removeprefix("frame_")
-        index = int(digits) if digits.isdecimal() and len(digits) < _MAX_DIGITS else poses
-        is_frame = index < poses and stem == FRAME.format(index)
-        has_image = is_frame and index % max(every, 1) == 0
-        return name == "info.json" or (is_frame and suffix == "json") or (has_image and suffix == "jpg")
+        frame = _FRAME_FILE.fullmatch(name)
+        if frame is None:
+            return name == "info.json"
+        index, (poses, every) = int(frame[1]), counts[session]
+        is_numbered = index < poses and name.startswith(f"{FRAME.format(index)}.")
+        return is_numbered and (frame[2] == "json" or index % every == 0)
 
     return {*filter(is_listed, file_names(captures))}

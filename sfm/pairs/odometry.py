@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.consistency.vio_drift import VIO_DRIFT
+from groundwalk.consistency.vio_drift import drift_m, drift_rad
 from groundwalk.geometry.poses import Array, path_length, rotation_angle
 from groundwalk.geometry.rows import evenly
 from groundwalk.store.choices import PairInconsistency
@@ -86,8 +86,8 @@ def drift_between(vio: Odometry, pairs: Pairs) -> tuple[Array, Array]:
     """What VIO can be off by between the two frames of each pair: metres (P,) and radians (P,)."""
     a, b = pairs.T
     path_m = np.abs(vio.travelled_m[a] - vio.travelled_m[b])
-    metres = VIO_DRIFT.metres(path_m) + np.abs(vio.jumped_m[a] - vio.jumped_m[b])
-    radians = VIO_DRIFT.radians(path_m) + np.abs(vio.jumped_rad[a] - vio.jumped_rad[b])
+    metres = drift_m(path_m) + np.abs(vio.jumped_m[a] - vio.jumped_m[b])
+    radians = drift_rad(path_m) + np.abs(vio.jumped_rad[a] - vio.jumped_rad[b])
     return metres, radians
 
 

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from groundwalk.consistency.decisions import Status, decide
 from groundwalk.consistency.diagnosis import MAX_ALIASED_FRACTION, MAX_TURN_GAIN_ERROR, diagnose
-from groundwalk.consistency.scale import STEP_M, STEP_SCALE_SD, recording_scale
+from groundwalk.consistency.scale import recording_scale
 from groundwalk.consistency.trajectories import TrajectoryPair
-from groundwalk.consistency.vio_drift import VIO_DRIFT
-from groundwalk.consistency.windows import POSE_SD, WINDOW_M, compare_windows
+from groundwalk.consistency.windows import compare_windows
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array
@@ -45,7 +44,7 @@ def check_models(sfm_T_cam: Array, model_N: NDArray[np.int64], vio: Odometry) ->
             _, segments = _segments(members & (vio.session == session), sfm_T_cam, vio)
             if not segments:
                 continue
-            diagnosis = diagnose(segments, VIO_DRIFT)
+            diagnosis = diagnose(segments)
             if diagnosis.aliased_fraction > MAX_ALIASED_FRACTION:
                 consistent[members] = False
             motions = diagnosis.motions
@@ -79,7 +78,7 @@ def _inconsistent(is_member: NDArray[np.bool_], sfm_T_cam: Array, vio: Odometry)
     beyond = np.zeros(len(is_member), bool)
     rows_of_segments, segments = _segments(is_member, sfm_T_cam, vio)
     try:
-        scale = recording_scale(segments, step_m=STEP_M, step_sd=STEP_SCALE_SD, tolerance=_TOLERANCE)
+        scale = recording_scale(segments, _TOLERANCE)
     except GeometryError:
         # The model merges frames that are apart in VIO.
         for rows in rows_of_segments:
@@ -90,6 +89,6 @@ def _inconsistent(is_member: NDArray[np.bool_], sfm_T_cam: Array, vio: Odometry)
     metric_S_sfm = Sim3(float(np.exp(scale.log)), np.eye(3), np.zeros(3))
     for rows, segment in zip(rows_of_segments, segments, strict=True):
         metric = segment._replace(sfm_T_cam=metric_S_sfm.poses(segment.sfm_T_cam))
-        for window in compare_windows(metric, WINDOW_M, VIO_DRIFT, POSE_SD, _TOLERANCE):
+        for window in compare_windows(metric, _TOLERANCE):
             beyond[rows[window.inside[window.wrong]]] = True
     return beyond

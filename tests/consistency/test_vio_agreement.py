@@ -8,14 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.consistency.scale import recording_scale
 from groundwalk.consistency.trajectories import TrajectoryPair, path_windows
-from groundwalk.consistency.vio_drift import VioDrift
-from groundwalk.consistency.windows import POSE_SD, compare_windows
+from groundwalk.consistency.windows import compare_windows
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, make_pose, path_length, yaw_rotation
-
-DRIFT = VioDrift.in_degrees(0.1, 0.03, 3.0, 2.5)
-_SCALE = {"step_m": 1.0, "step_sd": 0.03}
 
 
 def _walk(seed: int, frames: int = 60) -> Array:
@@ -49,22 +45,22 @@ def test_scale_is_found_in_any_gauge_in_spite_of_wrong_frames(seed: int, scale: 
     vio = _walk(seed)
     sfm = Sim3(1 / scale, Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)).poses(vio)
     sfm[[7, 31], :3, 3] += 3.0 / scale
-    found = recording_scale([pair(sfm[:25], vio[:25]), pair(sfm[25:], vio[25:])], **_SCALE)
+    found = recording_scale([pair(sfm[:25], vio[:25]), pair(sfm[25:], vio[25:])])
     assert found is not None
     assert np.exp(found.log) == pytest.approx(scale, rel=1e-4)
     metric_T_cam = Sim3(float(np.exp(found.log)), np.eye(3), np.zeros(3)).poses(sfm)
-    windows = compare_windows(pair(metric_T_cam, vio), 10.0, DRIFT, POSE_SD)
+    windows = compare_windows(pair(metric_T_cam, vio))
     assert {int(row) for w in windows for row in w.inside[w.wrong]} == {7, 31}
     # A coarser fit tells the same frames.
-    coarse = compare_windows(pair(metric_T_cam, vio), 10.0, DRIFT, POSE_SD, tolerance=0.05)
+    coarse = compare_windows(pair(metric_T_cam, vio), tolerance=0.05)
     assert [w.wrong.tolist() for w in coarse] == [w.wrong.tolist() for w in windows]
 
 
 def test_what_doesnt_move_has_no_scale_and_what_is_collapsed_is_an_error() -> None:
     vio = _walk(1)
     still = np.tile(np.eye(4), (60, 1, 1))
-    assert recording_scale([pair(vio, still)], **_SCALE) is None
-    assert recording_scale([pair(vio[:2], vio[:2])], **_SCALE) is None
-    assert compare_windows(pair(vio[:2], vio[:2]), 10.0, DRIFT, POSE_SD) == []
+    assert recording_scale([pair(vio, still)]) is None
+    assert recording_scale([pair(vio[:2], vio[:2])]) is None
+    assert compare_windows(pair(vio[:2], vio[:2])) == []
     with pytest.raises(GeometryError):
-        recording_scale([pair(still, vio)], **_SCALE)
+        recording_scale([pair(still, vio)])

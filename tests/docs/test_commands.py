@@ -20,6 +20,7 @@ from tests.docs.pages import COMMAND, NOT_RUN, ROOT, Block, Page, pages
 PAGES = pages()
 COMMANDS = {command.name: command for command in all_commands()}
 TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+NOTEBOOK = "docs/tutorials/first_look.ipynb"
 OPTIONS_OF_ALL = {"--help", "--version", "--install-completion", "--show-completion"}
 
 
@@ -142,9 +143,14 @@ def linked(source: str, target: str) -> None:
         shutil.copy2(source, target)
 
 
+def test_the_notebook_has_no_outputs() -> None:
+    cells = nbformat.read(ROOT / NOTEBOOK, as_version=4).cells
+    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells), "clear them before a commit"
+
+
 @pytest.mark.slow
 def test_the_notebook_runs_as_it_is(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(finished))
-    notebook = nbformat.read(finished / "docs" / "tutorials" / "first_look.ipynb", as_version=4)
+    notebook = nbformat.read(finished / NOTEBOOK, as_version=4)
     resources = {"metadata": {"path": str(finished)}}
     nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3", resources=resources).execute()

@@ -1,12 +1,12 @@
 """The command `groundwalk`: every command line of the packages, none of their libraries until one is run."""
 
+import contextlib
 import json
 import os
 import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -24,6 +24,7 @@ from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.settings import STAGES, resolve_settings
 from tests.groundwalk.made_up_run import MadeUpRun
+from tests.known import wait_until, written
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = {"cv2", "numba", "numpy", "open3d", "pandas", "pyarrow", "pycolmap", "rerun", "scipy", "torch", "pydantic"}
@@ -43,9 +44,12 @@ print("loaded:", *sys.modules)
 """
 
 
-def groundwalk(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "groundwalk", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, env={**os.environ, "COLUMNS": "200", **environment})
+def scenes(data: Path) -> str:
+    """What `groundwalk scenes` prints."""
+    command = [sys.executable, "-m", "groundwalk", "scenes", "--data", str(data)]
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "COLUMNS": "200"})
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    return done.stdout
 
 
 def loaded_by(*commands: list[str], **environment: str) -> tuple[str, set[str]]:
@@ -55,10 +59,6 @@ def loaded_by(*commands: list[str], **environment: str) -> tuple[str, set[str]]:
     printed, _, modules = done.stdout.partition("loaded: ")
     assert modules, done.stderr
     return printed, {*modules.split()}
-
-
-def complete(line: str, cursor: int) -> tuple[str, set[str]]:
-    return loaded_by([], _GROUNDWALK_COMPLETE="complete_bash", COMP_WORDS=line, COMP_CWORD=str(cursor))
 
 
 def options(command: Any) -> dict[str, Any]:
@@ -89,7 +89,7 @@ def test_each_package_s_command_is_one_of_groundwalk_s(packages: dict[str, Any])
             assert options(modules[f"{package}.__main__", name].load()) == options(command)
         if f"{package}.definition" in {module for module, _ in modules}:
             stage = modules[f"{package}.definition", None]
-            assert options(stage.load()) == options(application) == options(stage.load(for_completion=True))
+            assert options(stage.load()) == options(application)
             assert stage.load().help == application.help
             of_stages += 1
     assert of_stages == len(STAGES)
@@ -101,15 +101,14 @@ def test_each_package_s_command_is_one_of_groundwalk_s(packages: dict[str, Any])
     ("line", "cursor", "expected"),
     [
         ("groundwalk s", 1, ["scenes", "simulate", "sfm", "sweep"]),
-        ("groundwalk sfm --scene Chu", 3, ["Church"]),
-        ("groundwalk train --profile ", 3, ["demo", "paper", "standard", "tiny"]),
         ("groundwalk align --fo", 2, ["--force"]),
     ],
 )
-def test_completion_knows_commands_options_scenes_and_profiles(line: str, cursor: int, expected: list[str]) -> None:
-    printed, libraries = complete(line, cursor)
+def test_completion_knows_commands_and_options(line: str, cursor: int, expected: list[str]) -> None:
+    asked = {"_GROUNDWALK_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(cursor)}
+    printed, libraries = loaded_by([], **asked)
     assert printed.split() == expected
-    assert not libraries & (HEAVY - {"pydantic"})
+    assert not libraries & (HEAVY - {"numpy", "scipy", "pydantic"})
 
 
 def test_what_only_touches_files_loads_no_stage_s_library(make_run: Callable[..., MadeUpRun]) -> None:
@@ -139,53 +138,40 @@ def test_errors_are_those_of_the_packages(
 
 
 def test_scenes_names_a_broken_file_beside_the_others_and_outdated_stages(tmp_path: Path) -> None:
-    (tmp_path / "scenes").mkdir()
-    (tmp_path / "scenes" / "Broken.toml").write_text("x = \n")
-    (tmp_path / "scenes" / "Loop.toml").write_text('members = ["Loop"]\n')
-    for stage, read in {"import": "", "sfm": "old", "align": "now"}.items():
-        folder = tmp_path / "runs" / "tiny" / "Own" / stage
-        folder.mkdir(parents=True)
-        inputs = {"sfm": {"Own/import": {"t": read}}, "align": {"Own/sfm": {"t": "now"}}}.get(stage, {})
+    written(tmp_path / "scenes" / "Broken.toml", "x = \n")
+    written(tmp_path / "scenes" / "Loop.toml", 'members = ["Loop"]\n')
+    read = {"import": {}, "sfm": {"Own/import": {"t": "old"}}, "align": {"Own/sfm": {"t": "now"}}}
+    for stage, inputs in read.items():
         manifest = {"outputs": {"t": "now"}, "simulated": False, "scene": {"name": "Own"}, "inputs": inputs}
-        (folder / "manifest.json").write_text(json.dumps(manifest))
+        written(tmp_path / "runs" / "tiny" / "Own" / stage / "manifest.json", json.dumps(manifest))
     (tmp_path / "captures" / "Own").mkdir(parents=True)
-    done = groundwalk("scenes", "--data", tmp_path)
-    assert done.returncode == 0 and "Traceback" not in done.stderr
-    lines = {line.split()[0]: line for line in done.stdout.splitlines() if line}
+    printed = scenes(tmp_path)
+    lines = {line.split()[0]: line for line in printed.splitlines() if line}
     assert "see below (1)" in lines["Broken"] and "none, can be simulated" in lines["Church"]
-    assert re.search(r"\(1\) a settings file can't be read\n.*Broken\.toml", done.stdout)
-    assert "(2) the group of scenes Loop is a member of itself" in done.stdout
+    assert re.search(r"\(1\) a settings file can't be read\n.*Broken\.toml", printed)
+    assert "(2) the group of scenes Loop is a member of itself" in printed
     assert "tiny: import, sfm (outdated), align (outdated)" in lines["Own"]
 
 
 def test_scenes_shows_what_strangers_wrote_as_text(tmp_path: Path) -> None:
     evil = "[/x] \x1b[2J [bold]\u202e"
-    for kind, text in {
-        "profiles": f"description = {json.dumps(evil)}",
-        "scenes": f'members = ["{"[" * 9000}"]',
-    }.items():
-        (tmp_path / kind).mkdir()
-        (tmp_path / kind / "evil.toml").write_text(text)
+    written(tmp_path / "profiles" / "evil.toml", f"description = {json.dumps(evil)}")
+    written(tmp_path / "scenes" / "evil.toml", f'members = ["{"[" * 9000}"]')
     with_captures(DataRoot(tmp_path), "place", json.dumps({"profile": evil}))
     with_captures(DataRoot(tmp_path), "large", json.dumps({"profile": "x" * (5 << 20)}))
-    stage = tmp_path / "runs" / f"{evil.replace('/', '')}" / "place" / "import"
-    stage.mkdir(parents=True)
-    (stage / "manifest.json").write_text("{}")
-    done = groundwalk("scenes", "--data", tmp_path)
-    assert done.returncode == 0, done.stderr
-    said = " ".join(done.stdout.split())
+    written(tmp_path / "runs" / f"{evil.replace('/', '')}" / "place" / "import" / "manifest.json", "{}")
+    printed = scenes(tmp_path)
+    said = " ".join(printed.split())
     shown = r"[/x] \x1b[2J [bold]\u202e"
     for text in (f"evil {shown}", f"simulated, profile {shown}", f"{shown.replace('/', '')}: import"):
         assert text in said
-    assert "\x1b" not in done.stdout and len(done.stdout) < 20_000
+    assert "\x1b" not in printed and len(printed) < 20_000
 
 
 def with_captures(data: DataRoot, scene: str, marker: str | None = None) -> None:
-    folder = data.captures(scene)
-    folder.mkdir(parents=True)
-    (folder / "0.jpg").touch()
+    written(data.captures(scene) / "0.jpg", "")
     if marker:
-        (folder / "SIMULATED.json").write_text(marker)
+        written(data.captures(scene) / "SIMULATED.json", marker)
 
 
 def test_a_scene_takes_all_stages_and_is_simulated_where_it_may_be(tmp_path: Path) -> None:
@@ -198,6 +184,10 @@ def test_a_scene_takes_all_stages_and_is_simulated_where_it_may_be(tmp_path: Pat
     assert steps(data, "demo", "Church")[0].command == "import"
     with_captures(data, "Square")
     assert steps(data, "tiny", "Square")[0].command == "import"
+    with pytest.raises(UserError, match=r"no stage 'mapping'[\s\S]*import, sfm"):
+        steps(data, "tiny", "Church", "mapping")
+    with pytest.raises(UserError, match="no profile 'large'"):
+        steps(data, "large", "Church")
 
 
 def test_captures_simulated_for_another_profile_are_named_before_the_first_stage(
@@ -220,22 +210,14 @@ def test_captures_simulated_for_another_profile_are_named_before_the_first_stage
 
 
 def test_a_group_s_scenes_come_before_it(tmp_path: Path) -> None:
-    (tmp_path / "scenes").mkdir()
-    (tmp_path / "scenes" / "two.toml").write_text('members = ["a", "b"]\nstages = ["train", "fuse"]\n')
-    (tmp_path / "scenes" / "more.toml").write_text('members = ["two", "b"]\nstages = ["fuse"]\n')
+    written(tmp_path / "scenes" / "two.toml", 'members = ["a", "b"]\nstages = ["train", "fuse"]\n')
+    written(tmp_path / "scenes" / "more.toml", 'members = ["two", "b"]\nstages = ["fuse"]\n')
     data = DataRoot(tmp_path)
     expected = [Step(stage, scene) for scene in "ab" for stage in STAGES]
     expected += [Step("train", "two"), Step("fuse", "two"), Step("fuse", "more")]
     assert steps(data, "tiny", "more") == expected
     until_align = [Step(s, scene) for scene in "ab" for s in ("import", "sfm", "align", "report")]
     assert steps(data, "tiny", "two", "align") == until_align
-
-
-def test_what_there_is_not_is_said_before_anything_runs(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"no stage 'mapping'[\s\S]*import, sfm"):
-        steps(DataRoot(tmp_path), "tiny", "Church", "mapping")
-    with pytest.raises(UserError, match="no profile 'large'"):
-        steps(DataRoot(tmp_path), "large", "Church")
 
 
 @pytest.mark.parametrize(
@@ -252,9 +234,8 @@ def test_settings_of_all_stages_and_captures_are_checked_before_the_first_runs(
     tmp_path: Path, text: str, message: str
 ) -> None:
     data = DataRoot(tmp_path)
-    (tmp_path / "scenes").mkdir()
-    (tmp_path / "scenes" / "place.toml").write_text(text)
-    (tmp_path / "scenes" / "two.toml").write_text('members = ["other", "place"]\n')
+    written(tmp_path / "scenes" / "place.toml", text)
+    written(tmp_path / "scenes" / "two.toml", 'members = ["other", "place"]\n')
     for scene in ("other", "place") if text else ("other",):
         with_captures(data, scene)
     with pytest.raises(UserError, match=f"(?s){message}"):
@@ -295,31 +276,28 @@ def test_a_signal_ends_a_run_with_its_stage(tmp_path: Path) -> None:
         # Whoever runs the tests in the background may ignore it, and children inherit that.
         preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     )
-    deadline = time.monotonic() + 60
-    while not (tmp_path / "captures" / ".Church.partial" / "key.json").is_file():
-        assert time.monotonic() < deadline and process.poll() is None
-        time.sleep(0.02)
+    wait_until((tmp_path / "captures" / ".Church.partial" / "key.json").is_file)
     process.send_signal(number)
     _, said = process.communicate(timeout=30)
     assert process.returncode == 128 + number
     assert said.count("the same command resumes") == 1 and "Traceback" not in said
-    deadline = time.monotonic() + 30
-    with pytest.raises(ProcessLookupError):  # nothing of it is left, once its helpers have seen that it ended
-        while time.monotonic() < deadline:
+
+    def is_gone() -> bool:
+        with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, 0)
-            time.sleep(0.02)
+            return False
+        return True
+
+    wait_until(is_gone, 30)  # once its helpers have seen that it ended
     assert not (tmp_path / "captures" / "Church").exists()
 
 
 def test_no_code_of_the_current_folder_runs(tmp_path: Path) -> None:
     """As the installed script, `run` starts helpers and the stages' commands, whose Python would look there first."""
     with_captures(DataRoot(tmp_path / "data"), "place")
-    (tmp_path / "groundwalk").mkdir()
     for name in ("groundwalk/__init__", "groundwalk/__main__", "cv2", "socket", "multiprocessing"):
-        (tmp_path / f"{name}.py").write_text("import os; os.write(2, b'a stranger\\'s code')")
-    script = tmp_path / "bin" / "groundwalk"
-    script.parent.mkdir()
-    script.write_text("from groundwalk.cli import app\napp()\n")
+        written(tmp_path / f"{name}.py", "import os; os.write(2, b'a stranger\\'s code')")
+    script = written(tmp_path / "bin" / "groundwalk", "from groundwalk.cli import app\napp()\n")
     command = [sys.executable, str(script), "run", "--scene=place", "--profile=tiny", "--until=import"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 2 and "stranger" not in done.stderr
@@ -329,17 +307,17 @@ def test_no_code_of_the_current_folder_runs(tmp_path: Path) -> None:
     assert done.returncode == 2 and "settings of numba" in done.stderr
 
 
-def test_a_removed_current_folder_is_named(tmp_path: Path) -> None:
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    command = f"cd {gone} && rmdir {gone} && {sys.executable} -m groundwalk scenes"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
-    assert done.returncode == 2 and done.stderr.startswith("error: the current folder has been removed")
-
-
-def test_a_number_of_threads_that_is_none_is_named() -> None:
-    done = groundwalk("scenes", OMP_NUM_THREADS="abc")
-    assert done.returncode == 2 and done.stderr.startswith("error: OMP_NUM_THREADS is no number of threads")
+@pytest.mark.parametrize(
+    ("before", "said"),
+    [
+        ("mkdir gone && cd gone && rmdir ../gone", "the current folder has been removed"),
+        ("export OMP_NUM_THREADS=abc", "OMP_NUM_THREADS is no number of threads"),
+    ],
+)
+def test_where_no_library_could_work_is_named(tmp_path: Path, before: str, said: str) -> None:
+    command = f"{before} && {sys.executable} -m groundwalk scenes"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr.startswith(f"error: {said}")
 
 
 def test_stages_that_are_not_up_to_date_are_run(

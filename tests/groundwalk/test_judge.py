@@ -9,16 +9,14 @@ from typer.testing import CliRunner
 from groundwalk import commands
 from groundwalk.pipeline import Reported, Step
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import partial_folder, write_json
+from groundwalk.store.files import partial_folder
 from groundwalk.store.settings import DataRoot
+from tests.known import written
 
 
 @pytest.fixture
 def capture(tmp_path: Path) -> Path:
-    folder = tmp_path / "my walk & more"
-    folder.mkdir()
-    (folder / "frame_00000.json").write_text("{}")
-    return folder
+    return written(tmp_path / "my walk & more" / "frame_00000.json", "{}").parent
 
 
 def judge(*arguments: object) -> int:
@@ -37,9 +35,8 @@ def test_the_exit_status_is_the_verdict(
     def run_steps(steps: list[Step], profile: str, data: DataRoot) -> None:
         asked.extend(steps)
         report = data.run(profile, steps[0].scene, "report")
-        report.mkdir(parents=True)
-        write_json(report / "verdict.json", {"verdict": verdict, "why": "because"})
-        (report / "page.html").write_text("a page")
+        written(report / "verdict.json", json.dumps({"verdict": verdict, "why": "because"}))
+        written(report / "page.html", "a page")
         if verdict == "refused":
             raise Reported(2)
 
@@ -88,9 +85,7 @@ def test_what_import_refuses_has_a_page_that_says_what_is_missing(
     why = {"what": "no <capture>", "found": "\n 3 files\n a folder", "do": "copy it again"}
 
     def run_steps(steps: list[Step], profile: str, data: DataRoot) -> None:
-        partial = partial_folder(data.run(profile, steps[0].scene, "import"))
-        partial.mkdir(parents=True)
-        write_json(partial / "stopped.json", why)
+        written(partial_folder(data.run(profile, steps[0].scene, "import")) / "stopped.json", json.dumps(why))
         raise SystemExit(2)
 
     monkeypatch.setattr(commands, "run_steps", run_steps)

@@ -13,6 +13,7 @@ from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.store import DataRoot, Settings, UserError
 from groundwalk.store.settings import STAGES, resolve_settings
 from groundwalk.training.regressors import REGRESSORS
+from tests.known import written
 
 # A value of each type of JSON schema, as TOML.
 VALUES = {"boolean": "true", "integer": "1", "number": "0.5", "string": "'1'", "array": "[['1']]", "object": "{x = 1}"}
@@ -49,7 +50,7 @@ def wrong_values(model: type[Settings]) -> Iterator[tuple[str, str]]:
 
 
 def said_of(section: str, setting: str, data: DataRoot) -> str:
-    (data.root / "scenes" / "place.toml").write_text(f"[{section}]\n{setting}\n")
+    written(data.root / "scenes" / "place.toml", f"[{section}]\n{setting}\n")
     stage = section.split(".")[0]
     try:
         resolve_settings(SECTIONS[stage], stage, data, "empty", "place", [])
@@ -61,9 +62,7 @@ def said_of(section: str, setting: str, data: DataRoot) -> str:
 @pytest.mark.parametrize("section", SECTIONS)
 def test_a_setting_of_another_type_is_refused(section: str, tmp_path: Path) -> None:
     data = DataRoot(tmp_path)
-    for folder in ("profiles", "scenes"):
-        (tmp_path / folder).mkdir()
-    (tmp_path / "profiles" / "empty.toml").touch()
+    written(tmp_path / "profiles" / "empty.toml", "")
     tried = list(wrong_values(SECTIONS[section]))
     assert len(tried) >= 4 * len(SECTIONS[section].model_fields)
     for key, value in tried:

@@ -4,12 +4,12 @@ import os
 import shutil
 import signal
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
 
 from groundwalk.store.settings import STAGES
+from tests.known import wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
 # Notes its arguments, and finishes as a run does: puts a manifest in place. With HOLD it waits then, as a stage that
@@ -125,10 +125,7 @@ def test_a_finished_manifest_survives_a_signal(folder: Path, number: signal.Sign
         # Whoever runs the tests in the background may ignore it, and children inherit that.
         preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     )
-    deadline = time.monotonic() + 20
-    while not (manifest.is_file() and manifest.read_text()):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_until(lambda: manifest.is_file() and manifest.read_text() != "", 20)
     os.killpg(process.pid, number)
     _, said = process.communicate(timeout=20)
     assert process.returncode != 0

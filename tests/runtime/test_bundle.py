@@ -192,12 +192,8 @@ def test_an_upright_network_is_tilted_by_gravity() -> None:
     upright = Preprocessing({}, {}, (crop,))
     map_R_cam = Rotation.from_euler("xyz", [160, 30, 25], degrees=True).as_matrix()
     gravity = map_R_cam.T @ [0, -1, 0]
-    seen = map_R_cam @ upright_rotation(gravity)
-    assert (upright_rotation(gravity).T @ gravity)[0] == pytest.approx(0, abs=1e-12)
-    assert upright.camera_rotation(seen, gravity) == pytest.approx(map_R_cam, abs=1e-9)
-    tilted = Rotation.from_rotvec([0.2, 0, -0.1]).as_matrix() @ seen
-    answer = upright.camera_rotation(tilted, gravity)
-    assert answer @ gravity == pytest.approx([0, -1, 0], abs=1e-9)
+    tilted = Rotation.from_rotvec([0.2, 0, -0.1]).as_matrix() @ map_R_cam @ upright_rotation(gravity)
+    assert upright.camera_rotation(tilted, gravity) == pytest.approx(map_R_cam, abs=1e-9)
     with pytest.raises(UserError, match="an image has no gravity"):
         image = {"width_px": 16, "height_px": 12}
         lens = {"focal_factor": 1.0, "distortion": []}
@@ -208,7 +204,7 @@ def test_an_upright_network_is_tilted_by_gravity() -> None:
 
 def locate(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "groundwalk", "locate", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return subprocess.run(command, capture_output=True, text=True)
 
 
 def test_the_command_answers(wall_bundle: Path, image: Path, tmp_path: Path) -> None:

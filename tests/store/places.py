@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from groundwalk.store import DataRoot, Settings, Stage, StageRun
+from tests.known import written
 
 
 class NoSettings(Settings):
@@ -20,9 +21,6 @@ def stage(run: Run, name: str = "import") -> Stage[NoSettings]:
 
 def place(root: Path) -> DataRoot:
     """A data folder with a capture of scene `place`, and a profile `own` that sets nothing."""
-    walk = root / "captures" / "place" / "walk"
-    walk.mkdir(parents=True)
-    (walk / "frame.json").write_text("{}")
-    (root / "profiles").mkdir()
-    (root / "profiles" / "own.toml").touch()
+    written(root / "captures" / "place" / "walk" / "frame.json", "{}")
+    written(root / "profiles" / "own.toml", "")
     return DataRoot(root)

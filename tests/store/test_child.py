@@ -4,13 +4,13 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from groundwalk.store import UserError, progress
 from groundwalk.store.child import Report, Task, in_child, in_children
+from tests.known import wait_until
 
 
 def _double(report: Report, value: int) -> int:
@@ -64,23 +64,6 @@ def test_the_child_does_without_its_parents_main_module(tmp_path: Path) -> None:
     assert said(tmp_path, doubled, TMPDIR=str(long)) == ["42"]
 
 
-def test_an_error_in_the_child_is_raised_here(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="the setting is wrong"):
-        in_child("refusing", tmp_path / "log", "", Task(_refuse))
-
-
-def _meet(report: Report, mine: Path, other: Path) -> str:
-    mine.touch()
-    _wait_until(other.exists)
-    report(1, "met")
-    return mine.name
-
-
-def test_tasks_run_side_by_side(tmp_path: Path) -> None:
-    a, b = tmp_path / "a", tmp_path / "b"
-    assert in_children("meeting", tmp_path / "log", "", [Task(_meet, (a, b), 1), Task(_meet, (b, a), 1)]) == ["a", "b"]
-
-
 def test_progress_within_a_task_is_seen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -93,7 +76,7 @@ def test_one_error_ends_the_others(tmp_path: Path) -> None:
     written = tmp_path / "alive"
     with pytest.raises(UserError, match="the setting is wrong"):
         in_children("both", tmp_path / "log", "", [Task(_write_for_ever, (written,)), Task(_refuse)])
-    _wait_until(lambda: _stands_still(written))
+    wait_until(lambda: _stands_still(written))
 
 
 def test_an_aborted_child_is_an_error_with_the_end_of_its_log(tmp_path: Path) -> None:
@@ -114,22 +97,15 @@ def test_the_child_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     )
     parent = subprocess.Popen([sys.executable, script])
     try:
-        _wait_until(written.exists)
+        wait_until(written.exists)
     finally:
         parent.kill()
         parent.wait()
 
-    _wait_until(lambda: _stands_still(written))
+    wait_until(lambda: _stands_still(written))
 
 
 def _stands_still(written: Path) -> bool:
     before = written.read_text() if written.exists() else ""
     time.sleep(0.3)
     return (written.read_text() if written.exists() else "") == before
-
-
-def _wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "it took too long"
-        time.sleep(0.05)

@@ -10,15 +10,15 @@ import pytest
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.cleaning import clean_scene
 from groundwalk.store.locks import locked
+from tests.known import written
 
 HOSTILE_NAMES = ["", ".", "..", "../captures", "/etc", "a/b", "a b", "-x", ".x", "x\n", "x\0", "x" * 250]
 
 
 def artefact(folder: Path, **files: str) -> Path:
     """A finished artefact as a stage leaves it."""
-    folder.mkdir(parents=True)
     for name, text in files.items():
-        (folder / name).write_text(text)
+        written(folder / name, text)
     outputs = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in files.items()}
     (folder / "manifest.json").write_text(json.dumps({"stage": folder.name, "key": "k", "outputs": outputs}))
     (folder / "recording.rrd").write_text("a view")
@@ -26,19 +26,15 @@ def artefact(folder: Path, **files: str) -> Path:
 
 
 def simulated_capture(folder: Path) -> Path:
-    walk = folder / "walk"
-    walk.mkdir(parents=True)
     for name in ("info.json", "frame_00000.json", "frame_00000.jpg", "frame_00001.json"):
-        (walk / name).write_text("{}")
+        written(folder / "walk" / name, "{}")
     (folder / "true_poses.parquet").write_text("poses")
     (folder / "SIMULATED.json").write_text(json.dumps({"key": "k", "sessions": {"walk": {"poses": 2, "images": 1}}}))
     return folder
 
 
 def real_capture(folder: Path) -> Path:
-    folder.mkdir(parents=True)
-    (folder / "frame_00000.json").write_text("{}")
-    return folder
+    return written(folder / "frame_00000.json", "{}").parent
 
 
 def files_below(folder: Path) -> set[str]:
@@ -56,7 +52,7 @@ def test_artefacts_partial_runs_and_simulated_captures_are_removed(data: DataRoo
     (artefact(runs / "sfm", images="i") / "empty").mkdir()
     artefact(runs / "align", truth="t").rename(runs / ".align.old")
     (runs / ".train.partial" / "scratch").mkdir(parents=True)
-    (runs / ".train.partial" / "key.json").write_text('{"key": "k"}')
+    written(runs / ".train.partial" / "key.json", '{"key": "k"}')
     (runs / ".train.lock").touch()
     other = artefact(data.run("paper", "mine") / "import", frames="f")
     simulated_capture(data.captures("mine"))

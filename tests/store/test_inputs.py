@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from groundwalk.store import DataRoot, Settings, Stage, StageRun, UserError, execute
-from groundwalk.store.__main__ import link_captures
+from groundwalk.store.__main__ import link_folder
 from groundwalk.store.cleaning import clean_scene
 from groundwalk.store.files import sha256_of
 from groundwalk.store.locks import locked
@@ -182,7 +182,7 @@ def test_captures_stay_while_any_stage_reads(data: DataRoot, tmp_path: Path) -> 
         with pytest.raises(UserError, match="under way"):
             clean_scene(data, "demo", "place")
         with pytest.raises(UserError, match="under way"):
-            link_captures("place", tmp_path, data.root)
+            link_folder(data, "place", tmp_path)
 
     run(data, stage("align", "sfm", run=reading))
     assert clean_scene(data, "demo", "place").removed == [data.captures("place")]

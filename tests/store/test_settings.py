@@ -8,6 +8,7 @@ from pydantic import Field
 from groundwalk.store import DataRoot, Settings, UserError
 from groundwalk.store.choices import Split
 from groundwalk.store.settings import SHIPPED_DATA, SplitRules, resolve_settings
+from tests.known import written
 
 
 class Inner(Settings):
@@ -25,10 +26,8 @@ class Example(Settings):
 
 @pytest.fixture
 def data(tmp_path: Path) -> DataRoot:
-    for kind in ("profiles", "scenes"):
-        (tmp_path / kind).mkdir()
-    (tmp_path / "profiles" / "own.toml").write_text("[sfm]\nfeatures = 200\nratio = 0.1\n")
-    (tmp_path / "scenes" / "place.toml").write_text("environment = 'indoor'\n[sfm]\nratio = 0.2\ninner.depth = 2\n")
+    written(tmp_path / "profiles" / "own.toml", "[sfm]\nfeatures = 200\nratio = 0.1\n")
+    written(tmp_path / "scenes" / "place.toml", "environment = 'indoor'\n[sfm]\nratio = 0.2\ninner.depth = 2\n")
     return DataRoot(tmp_path)
 
 
@@ -37,6 +36,8 @@ def test_later_sources_win(data: DataRoot) -> None:
     assert settings == Example(features=200, ratio=0.2, inner=Inner(depth=3))
     assert data.scene("place")[0].environment == "indoor"
     assert data.scene("unheard-of")[0].environment == "unknown"
+    with pytest.raises(UserError, match="no profile 'none'"):
+        data.profile("none")
 
 
 @pytest.mark.parametrize(
@@ -66,20 +67,11 @@ def test_lists_numbers_and_choices_are_taken_as_toml_has_them(data: DataRoot) ->
     assert settings.inner.split is Split.VAL and settings.inner.exact is False
 
 
-def test_a_wrong_file_is_named(data: DataRoot) -> None:
-    (data.root / "profiles" / "own.toml").write_text("[sfmm]\n")
-    with pytest.raises(UserError, match="unknown section 'sfmm'"):
-        data.profile("own")
-    (data.root / "scenes" / "place.toml").write_text("environment = \n")
-    with pytest.raises(UserError, match=r"place\.toml"):
-        data.scene("place")
-    with pytest.raises(UserError, match="no profile 'none'"):
-        data.profile("none")
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("[sfmm]", "unknown section 'sfmm'"),
+        ("environment = ", r"can't be read\n  where: .*place\.toml"),
         ("import = 3", r"import is a section of settings\n  where: .*place\.toml\n.*\[import\]"),
         ("align = 3\n[[ruler]]\nkind = 'distance'", "align is a section of settings"),
         ("can_simulate = 1", r"'can_simulate': .*boolean\n  where: .*place\.toml"),
@@ -116,13 +108,10 @@ def test_every_shipped_profile_and_scene_is_valid() -> None:
 
 
 def test_a_users_file_adds_to_the_shipped_one_of_its_name_and_wins(tmp_path: Path) -> None:
-    for kind, name, text in (
-        ("scenes", "Church", 'description = "ours"\n[align]\nmax_scale_sd = 0.5\n[split]\ntest_fraction = 0.5\n'),
-        ("scenes", "Mine", '[sfm]\nmapper = "global"\n'),
-        ("profiles", "demo", "[sfm]\nmax_features = 77\n"),
-    ):
-        (tmp_path / kind).mkdir(exist_ok=True)
-        (tmp_path / kind / f"{name}.toml").write_text(text)
+    church = 'description = "ours"\n[align]\nmax_scale_sd = 0.5\n[split]\ntest_fraction = 0.5\n'
+    written(tmp_path / "scenes" / "Church.toml", church)
+    written(tmp_path / "scenes" / "Mine.toml", '[sfm]\nmapper = "global"\n')
+    written(tmp_path / "profiles" / "demo.toml", "[sfm]\nmax_features = 77\n")
     data, shipped = DataRoot(tmp_path), DataRoot(SHIPPED_DATA)
     config, sections = data.scene("Church")
     assert config == shipped.scene("Church")[0].model_copy(
@@ -139,8 +128,7 @@ def test_a_users_file_adds_to_the_shipped_one_of_its_name_and_wins(tmp_path: Pat
 
 
 def test_a_file_of_the_data_folder_stands_before_the_shipped_one(tmp_path: Path) -> None:
-    (tmp_path / "published").mkdir()
-    (tmp_path / "published" / "datasets.csv").write_text("")
+    written(tmp_path / "published" / "datasets.csv", "")
     files, shipped = DataRoot(tmp_path).files("published"), DataRoot(SHIPPED_DATA).files("published")
     assert files == shipped | {"datasets.csv": tmp_path / "published" / "datasets.csv"}
     assert "table1_dataset.csv" in shipped and shipped["datasets.csv"].is_file()

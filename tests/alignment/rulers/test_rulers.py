@@ -226,7 +226,7 @@ def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # VIO that may be off by so much tells no scale.
-    monkeypatch.setattr("groundwalk.alignment.map_frame.STEP_SCALE_SD", 1e3)
+    monkeypatch.setattr("groundwalk.consistency.scale.STEP_SCALE_SD", 1e3)
     plain, _ = aligned_by(scene, sighted(scene, ruler()))
     assert set(plain.ground_truth["scale_source"]) == {"none"}
     aligned, checks = aligned_by(scene, sighted(scene, ruler(use_for_scale=True)))

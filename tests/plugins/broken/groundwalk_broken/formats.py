@@ -3,8 +3,6 @@ from pathlib import Path
 from groundwalk.capture_import.capture import Limits, Recording
 from groundwalk.capture_import.formats import Format
 
-NOT_A_RECORD = {"id": "no_record"}
-
 
 def detect(path: Path) -> bool:
     raise RuntimeError("no idea")
