@@ -14,7 +14,7 @@ import pandas as pd
 import torch
 
 from groundwalk.scoring.errors import sure_enough
-from groundwalk.store import StageRun, UserError
+from groundwalk.store import StageRun, UserError, colours
 from groundwalk.store.child import Report, Task, in_children
 from groundwalk.store.hints import setting_of
 from groundwalk.store.registry import PluginError
@@ -36,6 +36,7 @@ from groundwalk.training.inputs import (
 from groundwalk.training.loop import save, take_best, train
 from groundwalk.training.models.regressor import PoseRegressor
 from groundwalk.training.predict import predict
+from groundwalk.training.record import blueprint, record
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.settings import TrainSettings
@@ -108,7 +109,7 @@ def run(r: StageRun[TrainSettings]) -> None:
     r.leave_out(faults)
     if not results:
         raise faults[0]
-    write_results(r, results)
+    write_results(r, frames, data[r.settings.resize].cache, results)
 
 
 def choose_device(wanted: str, count: int = 1) -> torch.device:
@@ -358,7 +359,7 @@ def keep_figures(
     r.say(f"{title}: median {medians[0]:.2f} {unit}, {medians[1]:.1f} deg over {len(position)} test frames")
 
 
-def write_results(r: StageRun[TrainSettings], results: list[Result]) -> None:
+def write_results(r: StageRun[TrainSettings], frames: pd.DataFrame, cache: ImageCache, results: list[Result]) -> None:
     predictions = pd.concat([result.predictions for result in results], ignore_index=True)
     curves = [result.history for result in results if len(result.history)]
     columns = schema("train", "history").column_names
@@ -366,3 +367,7 @@ def write_results(r: StageRun[TrainSettings], results: list[Result]) -> None:
     r.write("predictions", predictions[schema("train", "predictions").column_names])
     r.write("history", history.reindex(columns=columns))
     r.write("models", pd.DataFrame([result.card for result in results]))
+    names = [result.card["model"] for result in results]
+    shades = colours.localiser_colours(names) | {name: REGRESSORS[name].colour for name in names if name in REGRESSORS}
+    with r.step("recording"), r.recording(blueprint(r.leaves, names)) as stream:
+        record(stream, frames, predictions, cache, r.settings.crop, shades)

@@ -45,7 +45,7 @@ def test_a_file_is_as_many_regressors_as_it_names(make_scene: MakeScene) -> None
     assert lengths == pytest.approx(1)
     figures = load_manifest(folder)["figures"]
     assert figures["ours Wall test median position_m"] == pytest.approx(0, abs=1e-9)
-    assert not len(pd.read_parquet(folder / "history.parquet"))
+    assert (folder / "recording.rrd").is_file() and not len(pd.read_parquet(folder / "history.parquet"))
 
 
 def test_rows_that_cannot_be_used_are_counted(make_scene: MakeScene, capsys: pytest.CaptureFixture[str]) -> None:

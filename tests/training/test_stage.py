@@ -61,6 +61,7 @@ def test_the_stage_predicts_every_frame_and_says_what_it_trained(
     assert history.groupby("model")["selected"].sum().tolist() == [1, 1]
     figures = load_manifest(folder)["figures"]
     assert figures["mean-pose Wall test median position_m"] > 0
+    assert (folder / "recording.rrd").stat().st_size > 1000
 
     # The weights file alone gives the same poses again.
     trained = load_trained(folder / "weights" / "PN.pt")

@@ -6,6 +6,7 @@ REGRESSOR = Regressor(  # type: ignore[call-arg]
     id="no_capability",
     label="no capability",
     meaning="doesn't say whether it holds several scenes",
+    colour=(0, 0, 0),
     settings=RegressorSettings,
     make=make_wrong_shape,
     gives_covariance=False,

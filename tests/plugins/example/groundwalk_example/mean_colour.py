@@ -50,6 +50,7 @@ REGRESSOR = Regressor(
     id="mean_colour",
     label="mean colour",
     meaning="linear in the mean colours of an image's cells",
+    colour=(120, 94, 240),
     settings=MeanColourSettings,
     make=make,
     multi_scene=False,
