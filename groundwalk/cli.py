@@ -82,7 +82,6 @@ COMMANDS = {
         Command("export", "Export ground truth, or a regressor for a phone.", "export.__main__"),
         Command("locate", "Localise images in a map, or by a regressor.", "localisation.locate"),
         Command("evaluate", "Fuse predictions from Parquet files; measure errors.", "fusion.__main__", "evaluate"),
-        Command("sweep", "Try other thresholds of the MobileARLoc rule.", "fusion.__main__", "sweep"),
         Command(
             "check-truth",
             "Compare a simulated scene's ground truth with its true poses.",

@@ -70,7 +70,9 @@ def _dataset(scene: SceneInputs) -> Iterator[dict[str, object]]:
         keys = {"table": TABLE_I, "row": "scene", "column": column, "statistic": "value", "quantity": column}
         return _cell(scene, (value, more.pop("text", number(value, 0)), unit), source, **(keys | more))
 
-    yield cell("train images", scene.training_frames, "", (len(scene.frames), "import.frames"))
+    # Those held out for choosing a checkpoint are of the training walks, too.
+    training_frames = int(scene.frames["split"].isin(["train", "val"]).sum())
+    yield cell("train images", training_frames, "", (len(scene.frames), "import.frames"))
     yield cell("test images", scene.test_frames, "", (len(scene.frames), "import.frames"))
     yield cell("scored images", scene.scored_frames, "", (len(scene.errors), "fuse.errors"))
     known = (int(scene.ground_truth["map_cam_tx"].notna().sum()), "align.ground_truth")
@@ -82,13 +84,13 @@ def _dataset(scene: SceneInputs) -> Iterator[dict[str, object]]:
             model = str(card["model"])
             mib = float(card["bytes"]) / 2**20
             yield cell(f"{model} storage", mib, "MiB", (1, f"{stage}.models"), model=model, text=number(mib, 1))
-            runtime = scene.runtime_ms(model)
-            source = (int((scene.predictions["model"] == model).sum()), f"{stage}.predictions")
+            times = scene.predictions.loc[scene.predictions["model"] == model, "inference_ms"]
+            runtime, source = float(times.median()), (len(times), f"{stage}.predictions")
             yield cell(f"{model} runtime", runtime, "ms", source, model=model, text=number(runtime, 1))
 
 
 def _scores(scene: SceneInputs) -> Iterator[dict[str, object]]:
-    for _, s in scene_scores(scene.errors, scene.name, scene.offline).iterrows():
+    for _, s in scene_scores(scene).iterrows():
         paper = s["subset"] in SUBSETS
         numbers = [(m, q, s[f"{m}_{unit}"], unit) for m in ("mean", "median") for q, unit in ERRORS.items()]
         numbers += [("level", level, s[level], "%") for level in LEVELS]
@@ -207,7 +209,7 @@ def _interval(scene: SceneInputs, model: str, method: str) -> str:
     i = scene.intervals
     found = i[(i["model"] == model) & (i["method"] == method) & (i["subset"] == "all")]
     found = found[found["figure"] == "position_median_m"][["low", "high"]].astype(float)
-    if scene.evaluated_splits != "test" or found.empty or found.iloc[0].isna().all():
+    if set(scene.errors["split"]) != {"test"} or found.empty or found.iloc[0].isna().all():
         return EMPTY
     low, high = found.iloc[0]
     return f"{number(low, digits_of(low))} to {'infinite' if math.isnan(high) else number(high, digits_of(high))}"

@@ -1,7 +1,6 @@
 """The page's smaller tables: capture, ground truth, models, checks, and how the artefacts came about. Each is None
 where there is nothing to show."""
 
-import json
 import math
 from dataclasses import replace
 from typing import Any
@@ -71,7 +70,8 @@ def headline(scene: SceneInputs, found: list[LocaliserErrors]) -> Grid | None:
     rows = [[r.name, r.position, r.rotation, r.levels, r.coverage, r.interval] for r in found]
     truth = scene.ground_truth.loc[scene.ground_truth["frame_id"].isin(scene.errors["frame_id"])]
     truth = truth[truth["split"] == "test"]
-    sd, joint = truth["position_sd_m"].median(), truth["frame_id"].isin(scene.registered).sum()
+    registered = scene.images.loc[scene.images["registered"], "frame_id"]
+    sd, joint = truth["position_sd_m"].median(), truth["frame_id"].isin(registered).sum()
     chosen = scene.validation[scene.validation["model"].isin([model for model in scene.models if scene.ahead(model)])]
     how = f" Methods were chosen by {chosen['frames'].max():.0f} frames held out of training." if len(chosen) else ""
     caption = (
@@ -326,8 +326,3 @@ def provenance(scene: SceneInputs) -> Grid | None:
     heads = "stage | finished (UTC) | revision | machine | seconds a step | time | memory (MiB) | seed"
     grid = plain_grid(f"provenance-{scene.name}", "Stages", "As each stage's manifest has it.", heads, rows, 5)
     return grid and replace(grid, notes=(versions,))
-
-
-def stage_settings(scene: SceneInputs) -> list[tuple[str, str]]:
-    """Each stage's resolved settings as JSON."""
-    return [(name, json.dumps(m["settings"], indent=1, ensure_ascii=False)) for name, m in scene.manifests.items()]

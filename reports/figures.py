@@ -118,7 +118,8 @@ def error_distributions(scene: SceneInputs) -> Named:
     caption = f"{scene.name}: share of test frames within an error; a frame without a pose counts as failed."
     if scene.fuses:
         fused = ", ".join(scene.label(m) + scene.method_labels.get(scene.best(m) or "", "") for m in scene.models)
-        caption += f" Dashed: alone, over all test frames; solid: {fused} in time, {scene.all_frames}."
+        which = "all frames with VIO" if scene.unfused_sessions else "all frames"
+        caption += f" Dashed: alone, over all test frames; solid: {fused} in time, {which}."
     return "error-distribution", caption + " Dotted: the accuracy levels.", figure
 
 

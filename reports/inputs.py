@@ -11,7 +11,6 @@ import pandas as pd
 
 from groundwalk.geometry.poses import Array
 from groundwalk.reports.published import PAPER_METHOD
-from groundwalk.scoring.errors import sure_enough
 from groundwalk.store import StageRun
 from groundwalk.store.choices import MapUnit, PoseSource
 from groundwalk.store.files import STOPPED, partial_folder, read_json
@@ -26,7 +25,7 @@ from groundwalk.store.tables import (
     scale_warning,
     with_gravity_of_map,
 )
-from groundwalk.store.text import in_words, name_list
+from groundwalk.store.text import name_list
 from groundwalk.store.true_poses import true_poses_of
 
 # Fewer training frames than this, and a regressor's accuracy says nothing about regressors.
@@ -87,11 +86,6 @@ class SceneInputs:
         return list(dict.fromkeys(self.errors["model"]))
 
     @property
-    def training_frames(self) -> int:
-        """Frames of the training walks, those held out for choosing a checkpoint included."""
-        return int(self.frames["split"].isin(["train", "val"]).sum())
-
-    @property
     def test_frames(self) -> int:
         return int((self.frames["split"] == "test").sum())
 
@@ -99,22 +93,6 @@ class SceneInputs:
     def scored_frames(self) -> int:
         """Test frames with ground truth: what every share and level is a share of."""
         return int(self.errors.loc[self.errors["split"] == "test", "frame_id"].nunique())
-
-    @property
-    def registered(self) -> pd.Series:
-        """The frames that structure from motion registered, by frame_id."""
-        return self.images.loc[self.images["registered"], "frame_id"]
-
-    @property
-    def evaluated_splits(self) -> str:
-        """What frames the tables sweep and intervals of fuse are over, in words."""
-        return in_words(dict.fromkeys(self.errors["split"]))
-
-    @property
-    def uncertain_frames(self) -> int:
-        """Scored frames whose ground truth can't tell whether a pose is within an accuracy level."""
-        scored = self.errors[self.errors["split"] == "test"].drop_duplicates("frame_id")
-        return int((~sure_enough(scored["quality"])).sum())
 
     def label(self, model: str) -> str:
         """The model as tables and pages print it."""
@@ -175,11 +153,6 @@ class SceneInputs:
         )
 
     @property
-    def all_frames(self) -> str:
-        """All test frames that methods that fuse can answer, in words."""
-        return "all frames with VIO" if self.unfused_sessions and self.fuses else "all frames"
-
-    @property
     def fused_method(self) -> str | None:
         """The method that figures show beside the regressor: the paper's rule or, where that wasn't run, the first
         causal one that fuses; None where there is none."""
@@ -231,11 +204,6 @@ class SceneInputs:
             return float("nan"), float("nan"), float("nan")
         _, sides, _ = cv2.minAreaRect(xyz_N3[:, [0, 2]].astype(np.float32))
         return max(sides), min(sides), float(np.ptp(xyz_N3[:, 1]))
-
-    def runtime_ms(self, model: str) -> float:
-        """Median time of one inference over all frames with a prediction."""
-        times = self.predictions.loc[self.predictions["model"] == model, "inference_ms"].dropna()
-        return float(times.median()) if len(times) else float("nan")
 
     @property
     def leak_s(self) -> float | None:

@@ -1,5 +1,6 @@
 """The page of a scene, or of a group of scenes: one self-contained HTML file with a section of all that exists."""
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,7 +59,7 @@ def facts(scene: SceneInputs, verdict: Verdict) -> list[tuple[str, str, str]]:
     by_class = ", ".join(f"{name} {count}" for name, count in frames["quality"].value_counts().sort_index().items())
     classes = f"{len(trusted)} of class A or B; by class: {by_class}"
     shown.append((f"{share:.0f} %", "of frames can be trusted", classes))
-    known = trusted if len(trusted) else verdict.with_truth
+    known = trusted if len(trusted) else frames[frames["quality"] != QualityClass.NONE]
     if known["position_sd"].notna().any():
         metres, degrees = (known[c].quantile(0.95) for c in ("position_sd", "rotation_sd_deg"))
         which = "these" if len(trusted) else "those with ground truth"
@@ -134,7 +135,10 @@ def section(
         pictures=pictures,
         localiser_errors=localiser_errors,
         tables={name: html_table(grid) for name, grid in grids.items()},
-        settings=details.stage_settings(scene),
+        settings=[
+            (stage, json.dumps(manifest["settings"], indent=1, ensure_ascii=False))
+            for stage, manifest in scene.manifests.items()
+        ],
     )
 
 

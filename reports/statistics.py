@@ -15,31 +15,27 @@ from groundwalk.scoring.scores import SUBSETS, Score, score
 from groundwalk.store import UserError
 
 
-def scene_scores(errors: pd.DataFrame, scene: str, offline: set[str]) -> pd.DataFrame:
-    """All scores of one scene from fuse.errors (test frames only are used), one row a model, method, subset and set.
+def scene_scores(scene: SceneInputs) -> pd.DataFrame:
+    """All scores of one scene's test frames, one row a model, method, subset and set.
 
-    Columns: model, method, options, subset, over, total (test frames with ground truth), share and coverage (percent),
-    and Score's. `subset` is rp, opt or rp+opt (the paper's rule and, beside it, the raw regressor: over the same
-    frames, `over` = "subset", and over all test frames, "all"); "all" (every method, poses in time, a missing pose
-    fails); "common" (every method, on the frames that every causal method of this model answers in time: all but the
-    `offline` ones). These two are over frames that all methods ran on: in sessions without VIO the raw regressor
-    stands alone.
+    Columns: model, method, options, subset, over, share and coverage (percent), and Score's. `subset` is rp, opt or
+    rp+opt (the paper's rule and, beside it, the raw regressor: over the same frames, `over` = "subset", and over all
+    test frames, "all"); "all" (every method, poses in time, a missing pose fails); "common" (every method, on the
+    frames that every causal method of this model answers in time). These two are over frames that all methods ran on:
+    in sessions without VIO the raw regressor stands alone.
 
     Without the paper's rule there are no subsets, and the raw regressor over all test frames stands at rp+opt.
     UserError where there is no test frame with ground truth.
     """
-    test = errors[(errors["scene"] == scene) & (errors["split"] == "test")]
+    test = scene.errors[scene.errors["split"] == "test"]
     if test.empty:
         raise UserError(
-            f"scene {scene} has no test frame with ground truth",
+            f"scene {scene.name} has no test frame with ground truth",
             expected="errors of test frames in fuse.errors",
             do="look at the align stage's table checks, and at the split in the scene's config",
         )
     models = test.groupby("model", sort=False)
-    rows = [row for model, of_model in models for row in _model_rows(str(model), of_model, offline)]
-    frame = pd.DataFrame(rows)
-    frame.insert(0, "scene", scene)
-    return frame
+    return pd.DataFrame([row for model, errors in models for row in _model_rows(str(model), errors, scene.offline)])
 
 
 def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dict[str, object]]:
@@ -50,17 +46,18 @@ def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dic
         share = 100 * result.frames / total
         coverage = 100 * result.answered / result.frames if result.frames else float("nan")
         keys = {"model": model, "method": method, "options": options, "subset": subset, "over": over}
-        rows.append(keys | {"total": total, "share": share, "coverage": coverage} | asdict(result))
+        rows.append(keys | {"share": share, "coverage": coverage} | asdict(result))
 
     paper = errors[errors["method"] == PAPER_METHOD]
     raw_all = _scored(errors.drop_duplicates("frame_id"), "raw_")
     if paper.empty:
-        add(RAW_METHOD, "", list(SUBSETS)[-1], "all", raw_all)
-    for subset, statuses in SUBSETS.items() if len(paper) else ():
-        part = paper[paper["status"].isin(statuses)]
-        add(RAW_METHOD, "", subset, "all", raw_all)
-        add(RAW_METHOD, "", subset, "subset", _scored(part, "raw_"))
-        add(PAPER_METHOD, str(paper["options"].iloc[0]), subset, "subset", _scored(part, ""))
+        add(RAW_METHOD, "", "rp+opt", "all", raw_all)
+    else:
+        for subset, statuses in SUBSETS.items():
+            part = paper[paper["status"].isin(statuses)]
+            add(RAW_METHOD, "", subset, "all", raw_all)
+            add(RAW_METHOD, "", subset, "subset", _scored(part, "raw_"))
+            add(PAPER_METHOD, str(paper["options"].iloc[0]), subset, "subset", _scored(part, ""))
 
     errors = errors[errors.groupby("frame_id")["frame_id"].transform("size") == errors["method"].nunique()]
     unanswered = errors["live_position_m"].isna() | errors["live_rotation_deg"].isna()

@@ -1,12 +1,13 @@
 """Tables I to III in the paper's layout, the published numbers in lines of their own, and Table IV, which the paper
 leaves out: every method over all test frames."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import pandas as pd
 
 from groundwalk.reports.cells import (
     AVERAGE,
+    ERRORS,
     LEVELS,
     PUBLISHED_MODELS,
     TABLE_I,
@@ -18,6 +19,7 @@ from groundwalk.reports.cells import (
 from groundwalk.reports.grids import EMPTY, OURS, PUBLISHED, Block, Grid, Row
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
+from groundwalk.scoring.errors import sure_enough
 
 SUBSET_TITLES = {
     "rp": "Only reliable predictions",
@@ -88,8 +90,7 @@ class Tables:
                 names += [column_name(model, *scored, statistic) for scored in self.scored]
 
         def cell(look: Look, name: str) -> str:
-            pair = [look(f"{name} {quantity}") for quantity in ("translation", "rotation")]
-            return EMPTY if EMPTY in pair else "/".join(pair)
+            return _with_slashes(look(f"{name} {quantity}") for quantity in ERRORS)
 
         blocks = [b for row, title in self.titles.items() for b in self._blocks(TABLE_II, row, title, names, cell)]
         caption = f"Mean and median error of position ({self.unit}) and rotation (°) on test walks"
@@ -102,9 +103,8 @@ class Tables:
         names = [column_name(m, *scored) for m in self.models for scored in self.scored]
 
         def cell(look: Look, name: str) -> str:
-            levels = [look(f"{name} level {level}") for level in LEVELS]
+            entry = _with_slashes(look(f"{name} level {level}") for level in LEVELS)
             share = look(f"{name} share frames")
-            entry = EMPTY if EMPTY in levels else "/".join(levels)
             return entry if share == EMPTY else f"{entry} ({share})"
 
         blocks = [b for row, title in self.titles.items() for b in self._blocks(TABLE_III, row, title, names, cell)]
@@ -162,26 +162,27 @@ class Tables:
 
     def _uncertain_notes(self) -> list[str]:
         """How many frames the levels leave out, of the scenes that have such frames."""
-        return [
-            f"{scene.name}: {scene.uncertain_frames} of the {scene.scored_frames} test frames with ground truth are "
-            "of quality class C, too uncertain for the accuracy levels, which leave them out; means and medians count "
-            "them." + (" So no level can be scored." if scene.uncertain_frames == scene.scored_frames else "")
-            for scene in self.scenes.values()
-            if scene.uncertain_frames
-        ]
+        notes = []
+        for scene in self.scenes.values():
+            scored = scene.errors[scene.errors["split"] == "test"].drop_duplicates("frame_id")
+            if uncertain := int((~sure_enough(scored["quality"])).sum()):
+                notes.append(
+                    f"{scene.name}: {uncertain} of the {scene.scored_frames} test frames with ground truth are of "
+                    "quality class C, too uncertain for the accuracy levels, which leave them out; means and medians "
+                    "count them." + (" So no level can be scored." if uncertain == scene.scored_frames else "")
+                )
+        return notes
 
     def _method_numbers(self, cells: pd.DataFrame) -> list[str]:
         text = cells.set_index(["row", "statistic", "quantity"])["text"].to_dict()
 
         def pair(row: str, statistic: str) -> str:
-            errors = [text[row, statistic, quantity] for quantity in ("translation", "rotation")]
-            return EMPTY if EMPTY in errors else "/".join(errors)
+            return _with_slashes(text[row, statistic, quantity] for quantity in ERRORS)
 
-        levels = [text["all", "level", level] for level in LEVELS]
         return [
             text["all", "coverage", "frames"],
             pair("all", "median"),
-            EMPTY if EMPTY in levels else "/".join(levels),
+            _with_slashes(text["all", "level", level] for level in LEVELS),
             pair("all", "mean"),
             text["common", "share", "frames"],
             pair("common", "mean"),
@@ -268,6 +269,12 @@ class Tables:
                 cards.setdefault(card_text(card), []).append(scene.name)
         several = len(self.scenes) > 1
         return [text + (f" ({', '.join(names)})" if several else "") + "." for text, names in cards.items()]
+
+
+def _with_slashes(numbers: Iterable[str]) -> str:
+    """The numbers of one cell; empty where one of them is."""
+    parts = list(numbers)
+    return EMPTY if EMPTY in parts else "/".join(parts)
 
 
 def card_text(card: pd.Series) -> str:

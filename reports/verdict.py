@@ -104,11 +104,6 @@ class Verdict:
         """The frames of class A or B."""
         return self.frames[self.frames["quality"].isin(SURE_CLASSES)]
 
-    @property
-    def with_truth(self) -> pd.DataFrame:
-        """The frames with ground truth, of any class."""
-        return self.frames[self.frames["quality"] != QualityClass.NONE]
-
     def coverage(self) -> tuple[float, float]:
         """The share of the walked path between frames of class A or B, and the longest stretch without one."""
         total, covered, longest = 0.0, 0.0, 0.0

@@ -16,7 +16,6 @@ from groundwalk.store.hints import setting_of
 
 _ANSWER_WITHIN_S = 5.0
 SETTING = setting_of("train.regressors.<model>", "weights")
-_CLASSIFIERS = ("fc.",)  # part of ImageNet's ResNet-34, not of a backbone without classes
 
 
 def load_first_weights(backbone: nn.Module, url: str, weights: str, downloads: Path) -> str:
@@ -77,7 +76,7 @@ def _load_file(backbone: nn.Module, path: Path) -> str:
     the file's sha256. UserError naming what is missing, unknown or of another shape."""
     name, expected = f"torchvision's {type(backbone).__name__}", backbone.state_dict()
     state, digest = read_state(path, f"the state dict of {name}")
-    state = {k: v for k, v in state.items() if k in expected or not k.startswith(_CLASSIFIERS)}
+    state = {k: v for k, v in state.items() if not k.startswith("fc.")}  # ResNet-34's classifier
     refuse_other_network(state, {k: v.shape for k, v in expected.items()}, path, name)
     backbone.load_state_dict(expected | state)
     return digest

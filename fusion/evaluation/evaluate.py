@@ -57,14 +57,6 @@ def resolved(settings: FuseSettings) -> dict[str, MethodOptions]:
     return chosen
 
 
-def rule_options(settings: FuseSettings) -> PaperRuleOptions:
-    """The options of the paper's rule, whose thresholds `sweep` moves."""
-    name = next(name for name, entry in METHODS.items() if entry.options is PaperRuleOptions)
-    options = resolve_options(name, settings.options.get(name))
-    assert isinstance(options, PaperRuleOptions)
-    return options
-
-
 def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
     """Run each method on each scene's and model's walks. UserError for inputs that can't be evaluated.
 

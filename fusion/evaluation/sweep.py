@@ -68,18 +68,19 @@ _LINES = {"rp+opt": ("-", "reliable and optimised"), "all": ("--", "all frames, 
 _COLOURS = tuple(colours.LOCALISERS.values())
 
 
-def write_sweep_figure(sweep: pd.DataFrame, defaults: dict[str, float], path: Path) -> None:
+def write_sweep_figure(sweep: pd.DataFrame, path: Path) -> None:
     """Draw the rows of fuse.sweep that vary one threshold: a column each, a colour for each scene and model; the value
     in force elsewhere is dotted. The suffix of `path` is the format."""
     groups = list(sweep.groupby(["scene", "model"], sort=False))
     figure = Figure(figsize=(10, 6.5), layout="constrained")
     axes = figure.subplots(len(_ROWS), len(VALUES), sharey="row", sharex="col")
     for column, threshold in enumerate(VALUES):
+        in_force = sweep.loc[sweep["varied"] != threshold, threshold].iloc[0]
         for row, (name, label) in enumerate(_ROWS):
             ax = axes[row, column]
             for number, (key, rows) in enumerate(groups):
                 _draw(ax, rows[rows["varied"] == threshold], threshold, name, number, " ".join(map(str, key)))
-            ax.axvline(defaults[threshold], color="grey", lw=0.8, ls=":")
+            ax.axvline(in_force, color="grey", lw=0.8, ls=":")
             ax.spines[["top", "right"]].set_visible(False)
             ax.set_ylim(bottom=0)
             if column == 0:

@@ -1,1 +1,1 @@
-"""What is read: walks from tables, their faults, and the folder that results are written to."""
+"""What is read: walks from tables, and their faults."""

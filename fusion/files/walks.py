@@ -26,11 +26,6 @@ _SMALLEST_PLACE_M = 10.0
 _QUATERNION_LENGTHS = (0.2, 5.0)
 _ON_EARTH_M = 1e8  # farther from the origin there is no place for a camera
 _QUALITIES = ("A", "B", "C", "none")
-_NO_TRUTH = "none"
-
-FRAME_COLUMNS = ["frame_id", "session_id", "t_ns", "split"]
-TRUTH_COLUMNS = ["frame_id"]
-PREDICTION_COLUMNS = ["model", "frame_id"]
 
 
 @dataclass(frozen=True)
@@ -84,8 +79,8 @@ def check(inputs: Inputs) -> None:
     in_frames, in_truth, in_predictions = (
         f"{what} of {inputs.scene}" for what in ("frames", "ground truth", "predictions")
     )
-    _need(frames, FRAME_COLUMNS, "vio_cam", in_frames)
-    _need(truth, TRUTH_COLUMNS, "map_cam", in_truth)
+    _need(frames, ["frame_id", "session_id", "t_ns", "split"], "vio_cam", in_frames)
+    _need(truth, ["frame_id"], "map_cam", in_truth)
     _refuse_unknown_quality(truth, in_truth)
     _refuse_duplicates(frames, ["frame_id"], in_frames)
     _refuse_duplicates(frames, ["session_id", "t_ns"], in_frames)
@@ -95,7 +90,7 @@ def check(inputs: Inputs) -> None:
         raise UserError(
             f"no frame has ground truth of {inputs.scene}", do="give frames and ground truth of the same captures"
         )
-    _need(predictions, PREDICTION_COLUMNS, "map_cam", in_predictions)
+    _need(predictions, ["model", "frame_id"], "map_cam", in_predictions)
     _refuse_no_quaternions(predictions, in_predictions)
     _refuse_duplicates(predictions, ["model", "frame_id"], in_predictions)
     _refuse_disagreement(frames, predictions, in_predictions)
@@ -112,7 +107,11 @@ def evaluated(
     quality, predictions that aren't finite or are of unknown frames, quaternions that aren't of unit length. Raises
     UserError where no evaluated frame has ground truth, or fewer than half have a prediction.
     """
-    chosen = _of_splits(scene, frames, list(splits))
+    splits = list(splits)
+    chosen = frames[frames["split"].isin(splits)]
+    if chosen.empty:
+        actual = ", ".join(sorted(frames["split"].unique()))
+        raise UserError(f"scene {scene} has no frames to evaluate", expected=f"split {', '.join(splits)}", found=actual)
     ordered = chosen.sort_values(["session_id", "t_ns"], kind="stable")
     # Of each evaluated frame, null where it has none.
     predicted, stated = (table.set_index("frame_id").reindex(ordered["frame_id"]) for table in (predictions, truth))
@@ -121,7 +120,7 @@ def evaluated(
     if map_unit(truth) is not MapUnit.METRE:
         vio_T[:] = np.nan  # metres can't be fused with poses in another unit
     quality = _qualities(stated)
-    true_T[quality == _NO_TRUTH] = np.nan
+    true_T[quality == "none"] = np.nan
     true = known(true_T)
     if not true.any():
         raise UserError(
@@ -163,14 +162,6 @@ def evaluated(
             do="check that frame_id is <session>/<six digits> as in the frames table",
         )
     return Evaluated(walks, frame_counts, prediction_counts)
-
-
-def _of_splits(scene: str, frames: pd.DataFrame, splits: list[str]) -> pd.DataFrame:
-    chosen = frames[frames["split"].isin(splits)]
-    if chosen.empty:
-        actual = ", ".join(sorted(frames["split"].unique()))
-        raise UserError(f"scene {scene} has no frames to evaluate", expected=f"split {', '.join(splits)}", found=actual)
-    return chosen
 
 
 def _walks(

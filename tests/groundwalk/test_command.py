@@ -100,7 +100,7 @@ def test_each_package_s_command_is_one_of_groundwalk_s(packages: dict[str, Any])
 @pytest.mark.parametrize(
     ("line", "cursor", "expected"),
     [
-        ("groundwalk s", 1, ["scenes", "simulate", "sfm", "sweep"]),
+        ("groundwalk s", 1, ["scenes", "simulate", "sfm"]),
         ("groundwalk align --fo", 2, ["--force"]),
     ],
 )

@@ -16,10 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.capture_import.splits import leak_seconds
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
+from groundwalk.reports import stage as report_stage
+from groundwalk.reports.definition import STAGE
+from groundwalk.reports.figures import Picture
+from groundwalk.reports.inputs import SceneInputs
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store.files import hash_files, write_json
 from groundwalk.store.schemas import stage_tables
 from groundwalk.store.settings import DataRoot
+from groundwalk.store.stage import execute
 from groundwalk.store.tables import pose_frame, write_table
 from tests.known import cells, filled, table_of
 
@@ -396,3 +401,19 @@ def make_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., DataRoot
         return data
 
     return make
+
+
+def _no_pictures(scene: SceneInputs, folder: Path) -> dict[str, list[Picture]]:
+    return {part: [] for part in ("drift", "training", "errors")}
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report_stage, "scene_figures", _no_pictures)
+
+
+def report_without_figures(data: DataRoot, scene: str) -> Path:
+    """The report's folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report_stage, "scene_figures", _no_pictures)
+        return execute(STAGE, scene, "tiny", data)

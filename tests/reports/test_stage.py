@@ -26,7 +26,7 @@ from groundwalk.store.settings import DataRoot
 from groundwalk.store.stage import execute
 from groundwalk.store.tables import read_table
 from tests.known import rewrite, table_of, there
-from tests.reports.made_up_scenes import page_of, rows_of
+from tests.reports.made_up_scenes import page_of, report_without_figures, rows_of
 
 MakeRun = Callable[..., DataRoot]
 
@@ -37,33 +37,17 @@ def church(make_run: MakeRun) -> tuple[DataRoot, Path]:
     return data, execute(STAGE, "Church", "tiny", data)
 
 
-@pytest.fixture
-def blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are files without a drawing, which takes most of a small report's time."""
-    monkeypatch.setattr(style, "save", _save_blank)
-
-
-def _save_blank(figure: Figure, folder: Path, name: str) -> str:
-    for suffix in (".png", ".svg"):
-        (folder / f"{name}{suffix}").touch()
-    return "<svg></svg>"
-
-
 @pytest.fixture(scope="module")
 def pair(make_run: MakeRun) -> tuple[DataRoot, Path]:
     data = make_run(group="both", Square={"train": 30, "test": 20, "uncertain": 0.3}, Hall={"train": 30, "test": 20})
     (data.root / "scenes" / "Hall.toml").write_text('environment = "outdoor"\n')
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(style, "save", _save_blank)
-        return data, execute(STAGE, "both", "tiny", data)
+    return data, report_without_figures(data, "both")
 
 
 @pytest.fixture(scope="module")
 def chair(make_run: MakeRun) -> tuple[DataRoot, Path]:
     data = make_run(simulated=False, chair={"train": 9, "test": 3, "mixed": True, "uncertain": 1.0})
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(style, "save", _save_blank)
-        return data, execute(STAGE, "chair", "tiny", data)
+    return data, report_without_figures(data, "chair")
 
 
 def errors_of(data: DataRoot, scene: str, model: str, method: str | None = None) -> pd.DataFrame:
@@ -152,7 +136,7 @@ def test_a_map_without_metric_scale_is_marked_everywhere(
 
     def texts_of(figure: Figure, folder: Path, name: str) -> str:
         drawn.extend(text.get_text() for text in figure.findobj(Text) if isinstance(text, Text) and "vio" not in name)
-        return _save_blank(figure, folder, name)
+        return "<svg></svg>"
 
     monkeypatch.setattr(style, "save", texts_of)
     plain: dict[str, Any] = {"train": 30, "test": 24, "uncertain": 1.0, "localisers": ("Map",)}
@@ -182,7 +166,7 @@ def test_a_map_without_metric_scale_is_marked_everywhere(
     assert averages.count()["translation"] == 0 < averages.count()["rotation"]
 
 
-@pytest.mark.usefixtures("blank_figures")
+@pytest.mark.usefixtures("no_figures")
 def test_structure_localisers_stand_beside_the_regressors(make_run: MakeRun) -> None:
     data = make_run(Yard={"train": 30, "test": 24, "localisers": ("Map",)})
     (data.root / "scenes").mkdir(exist_ok=True)
@@ -408,7 +392,7 @@ def test_the_same_run_gives_the_same_bytes(church: tuple[DataRoot, Path]) -> Non
     assert {path: path.read_bytes() for path in outputs} == outputs
 
 
-@pytest.mark.usefixtures("blank_figures")
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize(
     ("methods", "headline"),
     [
@@ -446,7 +430,7 @@ def test_without_vio_nothing_is_fused_and_the_report_says_so_once(
 
     def drawn(figure: Figure, folder: Path, name: str) -> str:
         drawings.append(name)
-        return _save_blank(figure, folder, name)
+        return "<svg></svg>"
 
     monkeypatch.setattr(style, "save", drawn)
     data = make_run(simulated=False, Hall={"without_vio": WALKS, "localisers": ("Map",)})
@@ -472,7 +456,7 @@ def test_without_vio_nothing_is_fused_and_the_report_says_so_once(
     assert len(scored) == 3 and (scored["status"] == "agrees").all()
 
 
-@pytest.mark.usefixtures("blank_figures")
+@pytest.mark.usefixtures("no_figures")
 def test_no_path_is_walked_where_none_is_known(make_run: MakeRun) -> None:
     data = make_run(Bar={"train": 12, "test": 8})
     sessions = table_of(data, "Bar", "import", "sessions")
@@ -482,7 +466,7 @@ def test_no_path_is_walked_where_none_is_known(make_run: MakeRun) -> None:
         assert f"<small>{known}; made up</small>" in page
 
 
-@pytest.mark.usefixtures("blank_figures")
+@pytest.mark.usefixtures("no_figures")
 def test_walks_without_vio_beside_others_are_scored_alone(make_run: MakeRun) -> None:
     data = make_run(Hall={"without_vio": ("walk_2", "walk_4")})
     report = execute(STAGE, "Hall", "tiny", data)
@@ -503,7 +487,7 @@ def test_walks_without_vio_beside_others_are_scored_alone(make_run: MakeRun) -> 
     assert len(scored) == 6 and (scored["status"] == "agrees").all()
 
 
-@pytest.mark.usefixtures("blank_figures")
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize(
     ("ahead", "headline"),
     [("paper_rule", ["PN, alone", "PN+VIO"]), ("raw", ["PN, alone"]), ("smoother", ["PN, alone", "PN+smoother"])],
@@ -525,7 +509,7 @@ def test_the_headline_has_what_is_ahead_on_held_out_frames_and_by_how_many(
     assert "Methods were chosen by 4 frames held out of training" in page
 
 
-@pytest.mark.usefixtures("blank_figures")
+@pytest.mark.usefixtures("no_figures")
 def test_bad_input_is_a_clear_error(make_run: MakeRun) -> None:
     data = make_run(Bar={"train": 12, "test": 6})
     errors = table_of(data, "Bar", "fuse", "errors")

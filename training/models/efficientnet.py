@@ -89,7 +89,7 @@ class EfficientNetB0(nn.Module):
     `stochastic_depth`: drop probability of the last block's residual branch, rising linearly from 0 at the first.
     """
 
-    def __init__(self, classes: int = 1000, stochastic_depth: float = 0.2) -> None:
+    def __init__(self, stochastic_depth: float = 0.2) -> None:
         super().__init__()
         features: list[nn.Module] = [conv_norm(3, 32, 3, 2)]
         channels_in, index, total = 32, 0, sum(spec.blocks for spec in STAGES)
@@ -103,7 +103,7 @@ class EfficientNetB0(nn.Module):
         features.append(conv_norm(channels_in, HEAD_CHANNELS, 1))
         self.features = nn.Sequential(*features)
         self.avgpool = nn.AdaptiveAvgPool2d(1)
-        self.classifier = nn.Sequential(nn.Dropout(0.2), nn.Linear(HEAD_CHANNELS, classes))
+        self.classifier = nn.Sequential(nn.Dropout(0.2), nn.Linear(HEAD_CHANNELS, 1000))
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out")

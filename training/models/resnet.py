@@ -29,9 +29,9 @@ class BasicBlock(nn.Module):
 
 
 class ResNet34(nn.Module):
-    """Images (B, 3, H, W) to features (B, 512), or to logits where `classes` asks for the classifier `fc`."""
+    """Images (B, 3, H, W) to features (B, 512): torchvision's without its classifier `fc`."""
 
-    def __init__(self, classes: int | None = None) -> None:
+    def __init__(self) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(3, 64, 7, stride=2, padding=3, bias=False)
         self.bn1 = nn.BatchNorm2d(64)
@@ -45,7 +45,6 @@ class ResNet34(nn.Module):
             self.add_module(f"layer{index}", nn.Sequential(*layer))
             channels_in = channels
         self.avgpool = nn.AdaptiveAvgPool2d(1)
-        self.fc = nn.Linear(FEATURES, classes) if classes else nn.Identity()
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
@@ -58,4 +57,4 @@ class ResNet34(nn.Module):
         x = self.maxpool(self.relu(self.bn1(self.conv1(image_B3HW))))
         for index in range(1, len(STAGES) + 1):
             x = self.get_submodule(f"layer{index}")(x)
-        return self.fc(self.avgpool(x).flatten(1))
+        return self.avgpool(x).flatten(1)

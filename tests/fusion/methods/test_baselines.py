@@ -12,7 +12,7 @@ from groundwalk.fusion.methods.error_state import ErrorState, ErrorStateOptions
 from groundwalk.fusion.methods.last_good import LastGood
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, Status
 from groundwalk.fusion.methods.odometry import PairOptions
-from groundwalk.fusion.methods.offline import Offline, stepped
+from groundwalk.fusion.methods.offline import stepped
 from groundwalk.fusion.methods.pose_graph import PoseGraph, PoseGraphOptions
 from groundwalk.fusion.methods.smoother import Smoother
 from groundwalk.fusion.methods.vio_oracle import VioOracle
@@ -182,12 +182,6 @@ def test_error_state_refuses_outliers_and_begins_anew() -> None:
     restarts = [i for i, e in enumerate(answers) if e.reasons == ("restart",)]
     assert restarts == [40 + ErrorStateOptions().restart_after - 1]
     assert np.allclose(there(answers[-1].map_T_cam), moved[-1], atol=1e-6)
-
-
-def test_offline_methods_say_so() -> None:
-    for method in METHODS.values():
-        assert isinstance(method.make(method.options()), Offline) == (not method.causal)
-    assert [m.id for m in METHODS.values() if not m.causal] == ["smoother", "vio_oracle"]
 
 
 def test_oracle_is_exact_for_odometry_without_drift_between_jumps() -> None:

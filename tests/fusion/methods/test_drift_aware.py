@@ -17,7 +17,6 @@ from groundwalk.fusion.methods.paper_rule import PaperRule
 from groundwalk.fusion.methods.smoother import Smoother
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
-from tests.fusion.random_walks import random_walk
 from tests.fusion.upright_walks import as_walk, upright_walk
 from tests.known import there
 
@@ -137,17 +136,6 @@ def test_a_prediction_counts_less_for_leaning() -> None:
         leaning[-1, :3, :3] = Rotation.from_rotvec([np.radians(40), 0, 0]).as_matrix() @ apr[-1, :3, :3]
         weight, plain_weight = (answers(DriftAware(), t_ns, vio, p)[-1].signals["weight"] for p in (leaning, apr))
         assert weight < 0.3 * plain_weight
-
-
-def test_one_prediction_far_off_changes_next_to_nothing() -> None:
-    """It is turned by 150 degrees and 12 m off; the answer hardly moves, and forgets it."""
-    for seed in range(6):
-        t_ns, _, vio, apr = upright_walk(seed, 40, outliers=0.0)
-        bad = apr.copy()
-        bad[20] = make_pose(yaw_rotation(2.6) @ bad[20, :3, :3], bad[20, :3, 3] + [12.0, 0.0, 0.0])
-        fooled, fine = (poses(answers(DriftAware(), t_ns, vio, p)) for p in (bad, apr))
-        moved = position_error(fooled, fine)
-        assert moved[20] < 0.2 and moved.max() < 0.85 and moved[39] < 0.15  # 0.78 in one walk, else 0.12
 
 
 def test_some_seconds_of_wrong_predictions_are_no_reason_to_leave_odometry() -> None:
@@ -301,7 +289,7 @@ def localised(seed: int, jitter_deg: float = 0.02) -> tuple[Array, Array, list[E
 
 
 def test_a_structure_localiser_is_hardly_made_worse_and_the_bounds_hold() -> None:
-    ratios, inside = [], []
+    ratios, inside, rotation_deg = [], [], []
     for seed in range(4):
         truth, apr, estimates = localised(seed)
         fused = poses(estimates)
@@ -309,24 +297,18 @@ def test_a_structure_localiser_is_hardly_made_worse_and_the_bounds_hold() -> Non
         ratios.append(
             [(np.percentile(a, 95) / np.percentile(b, 95), a.mean() / b.mean()) for a, b in zip(*errors, strict=True)]
         )
+        rotation_deg.append(errors[0][1][40:].mean())
         inside.append(within_bounds(fused, truth, np.array([e.covariance for e in estimates])).mean(axis=0))
     (position_p95, position), (rotation_p95, rotation) = np.mean(ratios, axis=0)
     assert position_p95 < 1.0 and position < 0.95, (position_p95, position)  # 0.93, 0.88
     assert rotation_p95 < 0.9 and rotation < 0.9, (rotation_p95, rotation)  # 0.87, 0.84
     assert (np.mean(inside, axis=0) > 0.85).all(), inside  # 0.93, 0.97
-
-
-def test_a_localiser_that_is_better_than_odometrys_single_poses_is_not_made_worse() -> None:
-    """ARKit's rotations jitter by 0.01 to 0.05 degrees an axis beside the ground truth of real captures."""
+    # Odometry's vertical is that of predictions that know it better: with its own this is 0.05.
+    assert rotation_deg[0] < 0.025
+    # ARKit's rotations jitter by 0.01 to 0.05 degrees an axis beside the ground truth of real captures.
     for seed in range(3):
         truth, apr, estimates = localised(seed, jitter_deg=0.05)
-        fused, alone = (rotation_error_deg(x, truth).mean() for x in (poses(estimates), apr))
-        assert fused < 1.1 * alone, (fused, alone)
-
-
-def test_odometrys_vertical_is_that_of_predictions_that_know_it_better() -> None:
-    truth, _, estimates = localised(0)
-    assert rotation_error_deg(poses(estimates), truth)[40:].mean() < 0.025  # 0.05 with odometry's vertical
+        assert rotation_error_deg(poses(estimates), truth).mean() < 1.1 * rotation_error_deg(apr, truth).mean()
 
 
 def test_a_constant_lean_of_odometrys_vertical_is_learnt_from_good_predictions_without_covariances() -> None:
@@ -405,13 +387,6 @@ def test_a_regressor_that_takes_a_step_aside_for_a_turn_is_seen_through(monkeypa
             unaware.setattr(drift_aware, "_SIDE_TURN_COUNT", 1e9)
             without.append(position_error(poses(answers(DriftAware(), t_ns, vio, apr)), truth).mean())
     assert np.mean(with_it) < 0.9 * np.mean(without)  # 0.83
-
-
-def test_hopeless_walks_run() -> None:
-    for seed in range(4):
-        walk = random_walk(seed)
-        for estimate in answers(DriftAware(), walk.t_ns, walk.vio, walk.apr):
-            assert estimate.map_T_cam is None or np.isfinite(estimate.map_T_cam).all()
 
 
 def test_sure_predictions_that_all_contradict_each_other_do_not_stop_it() -> None:

@@ -15,18 +15,23 @@ from groundwalk.training.regressor_settings import LiteSettings, MSTransformerSe
 from groundwalk.training.weights import load_first_weights
 
 
+def of_torchvision() -> dict[str, torch.Tensor]:
+    """ResNet-34's state dict as torchvision has it: with a classifier."""
+    return {**ResNet34().state_dict(), "fc.weight": torch.zeros(1000, 512), "fc.bias": torch.zeros(1000)}
+
+
 def fill(model: BackboneRegressor, weights: str, downloads: Path) -> str:
     return load_first_weights(model.backbone, model.backbone_url, weights, downloads)
 
 
 def test_a_state_dict_of_torchvision_fills_the_backbone(tmp_path: Path) -> None:
-    source = ResNet34(classes=1000)
-    torch.save(source.state_dict(), tmp_path / "resnet34.pth")
+    source = of_torchvision()
+    torch.save(source, tmp_path / "resnet34.pth")
     model = PoseNet(PoseNetSettings())
     origin = fill(model, str(tmp_path / "resnet34.pth"), tmp_path)
     assert origin.startswith("file resnet34.pth, sha256 ")
     for name, tensor in model.backbone.state_dict().items():
-        assert torch.equal(tensor, source.state_dict()[name]), name
+        assert torch.equal(tensor, source[name]), name
 
 
 def test_a_file_of_another_network_is_refused(tmp_path: Path) -> None:
@@ -36,7 +41,7 @@ def test_a_file_of_another_network_is_refused(tmp_path: Path) -> None:
     path.write_text("nothing")
     with pytest.raises(UserError, match="can't be read"):
         fill(PoseNet(PoseNetSettings()), str(path), tmp_path)
-    torch.save(ResNet34(classes=1000).state_dict(), path)
+    torch.save(of_torchvision(), path)
     with pytest.raises(UserError, match=r"another network[\s\S]*missing"):
         fill(MSTransformer(MSTransformerSettings(layers=1)), str(path), tmp_path)
     torch.save([1, 2], path)
@@ -54,7 +59,7 @@ def test_weights_that_cannot_be_fetched(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.raises(UserError, match=r"no route[\s\S]*resnet34-b627a593\.pth"):
         fill(model, "imagenet", tmp_path)
     # Put there by hand, the file is used without a network.
-    torch.save(ResNet34(classes=1000).state_dict(), tmp_path / "resnet34-b627a593.pth")
+    torch.save(of_torchvision(), tmp_path / "resnet34-b627a593.pth")
     assert fill(model, "auto", tmp_path).startswith("ImageNet, resnet34-b627a593.pth, sha256 ")
 
 
