@@ -13,7 +13,7 @@ class ReportSettings(Settings):
 
 STAGE = Stage(
     name="report",
-    version=22,
+    version=23,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import",),
