@@ -8,21 +8,22 @@ left out. Writes docs/results/localise.md and .csv.
 import csv
 import tempfile
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import torch
 import typer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
-from benchmarks.localise_regressors import answers_of, trained_regressors
 from benchmarks.results import busy_machine, markdown_table
-from groundwalk.export.regressor import TrainedRegressor
+from groundwalk.export.phone.inputs import PhoneInputs
+from groundwalk.export.regressor import TrainedRegressor, load_regressor
 from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.localisation.build import build_map
@@ -34,14 +35,17 @@ from groundwalk.localisation.inputs import Inputs, read_inputs, training_of
 from groundwalk.localisation.localisers import SIFT, StructureSettings
 from groundwalk.localisation.prepared import Training, prepare
 from groundwalk.localisation.query import MapLocaliser
-from groundwalk.localisation.results import QueryResult
+from groundwalk.localisation.results import NOTHING_SEEN, QueryResult
 from groundwalk.localisation.stage import errors_of
+from groundwalk.runtime.bundle import matrix_of
 from groundwalk.scoring.errors import BOUND_95, normalised_squares, pose_error
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.checkout import git_revision
 from groundwalk.store.cli import new_app
 from groundwalk.store.images import image_file, read_grey_image
 from groundwalk.store.parallel import in_parallel, one_thread
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import read_table
 
 app = new_app(__doc__ or "")
 
@@ -130,6 +134,31 @@ _GROWTH = Case(
     },
 )
 _LIMITS = [(0.25, 2.0), (0.02, 0.5), (0.01, 0.5), (5.0, 10.0)]
+
+
+def trained_regressors(data: DataRoot, profile: str, scene: str) -> Iterator[TrainedRegressor]:
+    """The regressors of a scene's train stage; none where that hasn't been run."""
+    models = data.run(profile, scene, "train") / "models.parquet"
+    if models.is_file():
+        for model in read_table(models, schema("train", "models"))["model"]:
+            yield load_regressor(data, profile, scene, model)
+
+
+def answers_of(regressor: TrainedRegressor, files: Mapping[str, Path]) -> list[QueryResult]:
+    """What a regressor says of frames, by id, in their order, with these files for their images."""
+    frames = regressor.frames.set_index("frame_id", drop=False)
+    frames.loc[list(files), "file"] = np.array([*files.values()], object)
+    inputs = PhoneInputs(replace(regressor, frames=frames))
+    row_of = {frame_id: row for row, frame_id in enumerate(frames.index)}
+    return [QueryResult(_pose(inputs, row_of[frame_id]), None, None, "", 0, 0, NOTHING_SEEN) for frame_id in files]
+
+
+def _pose(inputs: PhoneInputs, row: int) -> Array:
+    with torch.inference_mode():
+        poses = inputs.regressor.trained.model(torch.from_numpy(inputs.tensor_as_trained(row)))
+    seen = matrix_of(poses.quaternion_B4[0].double().numpy())
+    rotation = inputs.preprocessing.camera_rotation(seen, inputs.query(row).gravity)
+    return make_pose(rotation, poses.position_B3[0].double().numpy())
 
 
 @app.command()
