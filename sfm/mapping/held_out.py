@@ -25,6 +25,7 @@ from groundwalk.sfm.pairs.candidates import Pairs
 
 # Of the tracks: enough for a median in each model, few enough that poses don't miss them.
 _FRACTION = 0.05
+_AT_ONCE = 500_000  # matches whose errors are worked out together, a kilobyte each
 
 
 @dataclass(frozen=True)
@@ -115,12 +116,14 @@ def held_out_check(matches: Matches, cameras: Cameras, sfm_T_cam: Array, model_N
     between models have no error and no row, nor those of frames in one place, which put no constraint on a match."""
     a, b = matches.frames.T
     rows = np.flatnonzero((model_N[a] == model_N[b]) & (model_N[a] >= 0))
-    a, b = a[rows], b[rows]
-    ray_a, sfm_T_a = _rays_of(cameras, sfm_T_cam, a, matches.xy_a[rows])
-    ray_b, sfm_T_b = _rays_of(cameras, sfm_T_cam, b, matches.xy_b[rows])
     focal = np.repeat(cameras.focal.mean(axis=1, keepdims=True), 2, axis=1)
-    error_px = sampson_px(relative(sfm_T_a, sfm_T_b), ray_a, ray_b, focal[a], focal[b])
-    columns = {"a": a, "b": b, "model": model_N[a], "held_out": matches.held_out[rows], "error_px": error_px}
+    error_px = []
+    for part in np.array_split(rows, len(rows) // _AT_ONCE + 1):
+        ray_a, sfm_T_a = _rays_of(cameras, sfm_T_cam, a[part], matches.xy_a[part])
+        ray_b, sfm_T_b = _rays_of(cameras, sfm_T_cam, b[part], matches.xy_b[part])
+        error_px.append(sampson_px(relative(sfm_T_a, sfm_T_b), ray_a, ray_b, focal[a[part]], focal[b[part]]))
+    a, b, held_out = a[rows], b[rows], matches.held_out[rows]
+    columns = {"a": a, "b": b, "model": model_N[a], "held_out": held_out, "error_px": np.concatenate(error_px)}
     return pd.DataFrame(columns).dropna().reset_index(drop=True)
 
 

@@ -11,8 +11,9 @@ import pytest
 from scipy.linalg import LinAlgError
 
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.cameras.model_adjustment import adjust_model
-from groundwalk.sfm.mapping.held_out import choose_held_out
+from groundwalk.sfm.cameras.model_adjustment import adjust_model, cameras_of_frames
+from groundwalk.sfm.database import pose_of
+from groundwalk.sfm.mapping.held_out import Matches, choose_held_out, held_out_check
 from groundwalk.sfm.mapping.misplaced import misplaced_frames
 from groundwalk.sfm.model import BuiltModel, load_models
 from groundwalk.sfm.settings import SfmSettings
@@ -96,6 +97,23 @@ def test_a_track_with_two_features_of_a_frame_is_never_left_out() -> None:
         np.zeros(3, int), np.array([[0, 0], [1, 0], [2, 2]]), np.array([[0, 1]]), np.full(2, 3), 1.0, 0
     )
     assert out.tolist() == [False, False, True]
+
+
+def test_errors_of_matches_do_not_hang_on_how_many_are_worked_out_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, rng = synthetic_model(), np.random.default_rng(0)
+    log = log_of(model)
+    cameras = cameras_of_frames(log, [adjust_model(model, _keypoints(model), log, SfmSettings())])
+    poses = np.stack([pose_of(model.image(row + 1)) for row in range(6)])
+    frames = np.sort(rng.permuted(np.tile(np.arange(6), (100, 1)), axis=1)[:, :2], axis=1)
+    matches = Matches(frames, *rng.uniform(0, 400, (2, 100, 2)), rng.random(100) < 0.1)
+    of_model = np.array([0, 0, 0, 0, 0, -1])
+    together = held_out_check(matches, cameras, poses, of_model)
+    monkeypatch.setattr("groundwalk.sfm.mapping.held_out._AT_ONCE", 7)
+    pd.testing.assert_frame_equal(held_out_check(matches, cameras, poses, of_model), together, rtol=1e-12)
+    assert (
+        len(together) == (frames != 5).all(axis=1).sum()
+        and (together["a"] == frames[(frames != 5).all(axis=1), 0]).all()
+    )
 
 
 PAIRS = np.array(list(combinations(range(9), 2)))
