@@ -129,7 +129,7 @@ bench-regressors: $(installed) #! PN, MS-T and PN-Lite beside each other, 3 seed
 bench-recovery: $(installed) #! How fusion methods bear what goes wrong in a walk, and how they start
 	@$(py) -m benchmarks.fusion_recovery
 
-bench-scale: $(installed) #! Import, sfm and align of one place with 500 to 5,000 frames (docs/results); hours
+bench-scale: $(installed) #! Import, sfm and align of one place with 500, 1,000 and 2,500 frames (docs/results); hours
 	@$(py) -m benchmarks.scale sizes
 
 bench-campaign: $(installed) #! A campaign with jobs and Snakemake killed; planning of many scenes (docs/results); hours
