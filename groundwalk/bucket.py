@@ -25,15 +25,18 @@ def is_address(text: str) -> bool:
 
 def download(address: str, folder: Path) -> None:
     """Make a folder hold the files below an address: what has another size or time there is loaded, and what is gone
-    there is removed here. UserError where it can't be read, or there are no files."""
+    there is removed here. UserError where it can't be read, or there are no files, and for a link, whose files are
+    somebody's own."""
+    if folder.is_symlink():
+        raise UserError("what a bucket is loaded into is a link", where=folder, expected="a folder, or nothing")
     bucket, base = _opened(address)
     with _explained(address):
         found = bucket.get_file_info(fs.FileSelector(base, recursive=True))
     files = {one.path.removeprefix(base).lstrip("/"): one for one in found if one.type == fs.FileType.File}
     if not files:
-        raise UserError("a folder of a bucket has no files", where=address, expected="a folder of phone captures")
+        raise UserError("a folder of a bucket has no files", where=_shown(address), expected="a folder of captures")
     if outside := [name for name in files if leads_outside(name)]:
-        raise UserError("a file's name in a bucket leads outside its folder", where=address, found=outside[0])
+        raise UserError("a file's name in a bucket leads outside its folder", where=_shown(address), found=outside[0])
     folder.mkdir(parents=True, exist_ok=True)
     for name in set(file_names(folder)) - set(files):
         (folder / name).unlink()
@@ -47,11 +50,11 @@ def download(address: str, folder: Path) -> None:
                     written.write(chunk)
             os.utime(partial, ns=(one.mtime_ns, one.mtime_ns))
             if (size := partial.stat().st_size) != one.size:
-                where, expected = f"{address}/{name}", f"{one.size} bytes"
+                where, expected = f"{_shown(address)}/{name}", f"{one.size} bytes"
                 raise UserError("a file of a bucket ended early", where=where, expected=expected, found=size)
 
     changed = [name for name, one in files.items() if _size_and_time(folder / name) != (one.size, one.mtime_ns)]
-    _at_once(load, changed, f"loading {folder.name} from {address}")
+    _at_once(load, changed, f"loading {folder.name} from {_shown(address)}")
 
 
 def upload(root: Path, names: Iterable[str], address: str) -> int:
@@ -77,7 +80,7 @@ def upload(root: Path, names: Iterable[str], address: str) -> int:
                 stream.write(chunk)
 
     newer = [name for name in names if is_newer(name)]
-    _at_once(send, newer, f"sending results to {address}")
+    _at_once(send, newer, f"sending results to {_shown(address)}")
     return len(newer)
 
 
@@ -85,6 +88,11 @@ def _opened(address: str) -> tuple[fs.FileSystem, str]:
     with _explained(address):
         bucket, base = fs.FileSystem.from_uri(address)
     return bucket, base.rstrip("/")
+
+
+def _shown(address: str) -> str:
+    """Without a key that stands in it."""
+    return re.sub("//[^/]*:[^/]*@", "//", address)
 
 
 def _chunks(bucket: fs.FileSystem, path: str, address: str) -> Iterator[bytes]:
@@ -100,7 +108,7 @@ def _explained(address: str) -> Iterator[None]:
     except (OSError, ValueError, NotImplementedError) as error:
         raise UserError(
             "a bucket can't be reached",
-            where=re.sub("//[^/]*:[^/]*@", "//", address),  # without a key that stands in it
+            where=_shown(address),
             expected="s3://bucket/folder, gs://bucket/folder or abfss://container@account/folder",
             found=" ".join(str(error).split()),
             do="check the address, the network and the credentials (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY,"

@@ -127,7 +127,8 @@ def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str
                 local = data.root / "downloads" / checked_name("scene", scene)
                 local.mkdir(parents=True, exist_ok=True)
                 link_folder(data, scene, local)
-                download(captures, local)
+                with locked(local):
+                    download(captures, local)
             elif captures:
                 link_folder(data, scene, table.parent / Path(captures).expanduser())
             jobs |= {job.id: job for job in _jobs_of(data, row.get("profile", profile), scene, row.get("until"))}

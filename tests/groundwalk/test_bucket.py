@@ -113,6 +113,17 @@ def test_a_place_that_is_none_is_refused(place: str, said: str, tmp_path: Path) 
 
 
 @pytest.mark.usefixtures("address")
+def test_nothing_is_loaded_into_a_link(tmp_path: Path) -> None:
+    put("walks/one/a", b"a")
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "mine").touch()
+    (tmp_path / "one").symlink_to(tmp_path / "own")
+    with pytest.raises(UserError, match="is a link"):
+        download(WALKS, tmp_path / "one")
+    assert file_names(tmp_path / "own") == ["mine"]
+
+
+@pytest.mark.usefixtures("address")
 def test_keys_do_not_leave_the_folder_and_secrets_of_an_address_are_not_shown(tmp_path: Path) -> None:
     put("walks/one/../../../out", b"")
     with pytest.raises(UserError, match="outside"):
