@@ -148,7 +148,8 @@ class Dataset:
 
     def rows_of(self, frame_ids: Sequence[str]) -> list[int]:
         """Rows of frames with these ids."""
-        return pd.Index(self.frames["frame_id"]).get_indexer(list(frame_ids)).tolist()
+        row_of = {frame_id: row for row, frame_id in enumerate(self.frames["frame_id"])}
+        return [row_of[frame_id] for frame_id in frame_ids]
 
     def sequences(self) -> list[tuple[bool, np.ndarray]]:
         """(for testing, rows in order of time) of each sequence, for formats in which one is wholly for training or for

@@ -4,6 +4,7 @@ PyArrow's file systems reach them. Credentials are those that their own tools ta
 import contextlib
 import os
 import re
+import shutil
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -28,13 +29,15 @@ def download(address: str, folder: Path) -> None:
     there is removed here. UserError where it can't be read, or there are no files, and for a link, whose files are
     somebody's own."""
     if folder.is_symlink():
-        raise UserError("what a bucket is loaded into is a link", where=folder, expected="a folder, or nothing")
+        raise UserError("the folder for a bucket's captures is a link", where=folder, expected="a folder, or nothing")
     bucket, base = _opened(address)
     with _explained(address):
         found = bucket.get_file_info(fs.FileSelector(base, recursive=True))
     files = {one.path.removeprefix(base).lstrip("/"): one for one in found if one.type == fs.FileType.File}
     if not files:
-        raise UserError("a folder of a bucket has no files", where=_shown(address), expected="a folder of captures")
+        raise UserError(
+            "there are no files at this address of a bucket", where=_shown(address), expected="a folder of captures"
+        )
     if outside := [name for name in files if leads_outside(name)]:
         raise UserError("a file's name in a bucket leads outside its folder", where=_shown(address), found=outside[0])
     folder.mkdir(parents=True, exist_ok=True)
@@ -51,7 +54,7 @@ def download(address: str, folder: Path) -> None:
             os.utime(partial, ns=(one.mtime_ns, one.mtime_ns))
             if (size := partial.stat().st_size) != one.size:
                 where, expected = f"{_shown(address)}/{name}", f"{one.size} bytes"
-                raise UserError("a file of a bucket ended early", where=where, expected=expected, found=size)
+                raise UserError("a download from a bucket ended early", where=where, expected=expected, found=size)
 
     changed = [name for name, one in files.items() if _size_and_time(folder / name) != (one.size, one.mtime_ns)]
     _at_once(load, changed, f"loading {folder.name} from {_shown(address)}")
@@ -76,8 +79,7 @@ def upload(root: Path, names: Iterable[str], address: str) -> int:
             _explained(address),
             bucket.open_output_stream(f"{base}/{name}") as stream,
         ):
-            while chunk := read.read(_CHUNK_BYTES):
-                stream.write(chunk)
+            shutil.copyfileobj(read, stream, _CHUNK_BYTES)
 
     newer = [name for name in names if is_newer(name)]
     _at_once(send, newer, f"sending results to {_shown(address)}")
@@ -122,9 +124,5 @@ def _size_and_time(path: Path) -> tuple[int, int]:
 
 def _at_once(transfer: Callable[[str], None], names: list[str], text: str) -> None:
     with ThreadPoolExecutor(_TRANSFERS) as pool:
-        try:
-            for _ in track(pool.map(transfer, names), text, len(names)):
-                pass
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+        for _ in track(pool.map(transfer, names), text, len(names)):
+            pass

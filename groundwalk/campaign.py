@@ -109,8 +109,8 @@ def campaign(
 
 
 def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str, str]]:
-    """The jobs of all scenes of a CSV, and the messages of scenes that can't run. UserError for a table that isn't
-    one."""
+    """The jobs of all scenes of a CSV, whose captures are linked or, from a bucket, downloaded first; and the messages
+    of scenes that can't run. UserError for a table that isn't one."""
     jobs: dict[str, Job] = {}
     problems: dict[str, str] = {}
     seen: set[str] = set()

@@ -213,11 +213,22 @@ def fresh_folder(out: Path) -> Iterator[Path]:
     out = out.resolve()
     refuse_irreplaceable(out)
     before = file_names(out)
-    with tempfile.TemporaryDirectory(prefix=".groundwalk-", dir=out.parent, ignore_cleanup_errors=True) as aside:
-        work = Path(aside, "new")
+    aside = Path(tempfile.mkdtemp(prefix=".groundwalk-", dir=out.parent))
+    work, old = aside / "new", aside / "old"
+    try:
         work.mkdir()
         yield work
-        swap_in(work, out, lambda folder: before)
+        sync_tree(work)
+        if out.exists():
+            out.rename(old)
+        work.rename(out)
+        _sync(out.parent)
+    finally:
+        if old.exists() and out.exists():
+            _move_others(old, out, before)
+        elif old.exists():
+            old.rename(out)
+        shutil.rmtree(aside, ignore_errors=True)
 
 
 def sync_tree(folder: Path) -> None:

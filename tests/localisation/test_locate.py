@@ -23,7 +23,7 @@ from groundwalk.scoring.errors import position_error
 from groundwalk.store import execute
 from groundwalk.store.images import read_image
 from tests.known import read_picture, there
-from tests.localisation.board_scene import CAMERA, HEIGHT, TEST, WIDTH, Boards
+from tests.localisation.board_scene import CAMERA, HEIGHT, TEST, WIDTH, Boards, other_board_picture
 
 SMALL = ["max_features=300", "localisers.Map.max_points=400"]
 ROW = int(np.flatnonzero(TEST)[1])
@@ -44,6 +44,11 @@ def map_file(run: groundwalk.Run) -> Path:
     return run.folder / "localise" / "map.gwm"
 
 
+@pytest.fixture
+def picture(boards: Boards) -> np.ndarray:
+    return read_picture(boards.image(ROW), cv2.IMREAD_GRAYSCALE)
+
+
 @pytest.mark.parametrize("intrinsics", [CAMERA, Camera(WIDTH, HEIGHT, *FOUR), K, NUMBERS, np.array(NUMBERS)])
 def test_a_run_localises_an_image(run: groundwalk.Run, boards: Boards, intrinsics: Any) -> None:
     truth, file = boards.map_T_cam[ROW], boards.image(ROW)
@@ -61,12 +66,29 @@ def test_a_wrong_prior_does_not_make_the_answer_wrong(run: groundwalk.Run, board
     assert position_error(there(answer.map_T_cam), truth) < 0.02
 
 
+def test_a_run_refuses_what_it_cannot_localise(run: groundwalk.Run, boards: Boards, picture: np.ndarray) -> None:
+    turned = np.ascontiguousarray(np.rot90(picture))
+    for image, refusals in (
+        (np.zeros_like(picture), {"few_features"}),
+        (cv2.GaussianBlur(picture, (0, 0), 25), {"few_features"}),
+        (other_board_picture(boards.map_T_cam[ROW]), {"few_matches", "no_pose", "thin_evidence"}),
+        (turned, {"image_size"}),
+        (cv2.resize(picture, (160, 120)), {"image_size"}),
+    ):
+        answer = run.localise(image.astype(np.uint8), intrinsics=CAMERA, gravity=DOWN)
+        assert answer.refusal in refusals and answer.reason
+        assert answer.map_T_cam is None and answer.covariance is None
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
+        ({"intrinsics": None}, "no intrinsics: fx, fy, cx, cy"),
+        ({"intrinsics": {"fx": 300.0}}, "no intrinsics: fy, cx, cy"),
         ({"intrinsics": [300.0, 300.0]}, "these are no intrinsics"),
         ({"intrinsics": "wide"}, "these are no intrinsics"),
         ({"intrinsics": [np.nan, 300.0, 160, 120]}, "fx is no finite number"),
+        ({"intrinsics": [3.0, 3.0, 160, 120]}, "focal lengths can't be"),
         ({"intrinsics": [300.0, 300.0, 960, 720]}, "principal point isn't in the image"),
         ({"intrinsics": [300.0, 300.0, 120, 160]}, "far from the image's centre"),
         ({"gravity": [0, 0, 0]}, "gravity has no direction"),

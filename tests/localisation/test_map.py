@@ -80,6 +80,26 @@ def test_a_map_without_a_vertical_takes_no_notice_of_gravity(built: Built, file:
         np.testing.assert_array_equal(there(told.map_T_cam), there(not_told.map_T_cam))
 
 
+def test_bad_queries_are_refused_with_their_reason(file: Path) -> None:
+    localiser, elsewhere = MapLocaliser(read_map(file)), features(place(seed=7), walk(3), 1)
+    noise = np.random.default_rng(0).integers(0, 255, (480, 640), np.uint8)
+    for answer in (
+        localiser.localise(noise, LOGGED),
+        localiser.localise_features(elsewhere, LOGGED),
+        localiser.localise_features(elsewhere, LOGGED, np.array([0, 1.0, 0])),
+    ):
+        assert answer.map_T_cam is None and answer.covariance is None and answer.refusal and answer.reason
+
+
+def test_hidden_points_take_no_part(built: Built, file: Path) -> None:
+    localiser = MapLocaliser(read_map(file))
+    answer = localiser.localise_features(built[1].training.features[3], LOGGED)
+    hidden = np.zeros(len(localiser.map.xyz), bool)
+    hidden[answer.seen.points[answer.seen.inlier][::2]] = True
+    again = localiser.localise_features(built[1].training.features[3], LOGGED, hidden=hidden)
+    assert not hidden[again.seen.points].any()
+
+
 def test_calibration_asks_for_more_inliers_than_wrong_answers_had(built: Built, file: Path) -> None:
     localiser = MapLocaliser(read_map(file))
     views = built[1].training.views

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.localisation.frames import Views
-from groundwalk.localisation.pose import Observed, Priors, refine
+from groundwalk.localisation.pose import Observed, Priors, ransac, refine
 from groundwalk.scoring.errors import normalised_squares, pose_error, position_error, rotation_error_deg
 from tests.known import there
 from tests.localisation.scenes import DOWN, HIGH, LOGGED, READOUT_S, SEEN_BY, place, projected, walk
@@ -24,13 +24,16 @@ def observed(
     view: int,
     count: int = 150,
     noise_px: float = 0.0,
+    outliers: int = 0,
+    seed: int = 0,
     camera: Camera = SEEN_BY,
 ) -> Observed:
-    rng = np.random.default_rng([0, view])
+    rng = np.random.default_rng([seed, view])
     xyz = place(points=2500).xyz
     px = projected(views, view, xyz)
     rows = np.flatnonzero(np.isfinite(px).all(axis=1))[:count]
     px, xyz = px[rows] + noise_px * rng.standard_normal((len(rows), 2)), xyz[rows]
+    px[:outliers] = rng.uniform([0, 0], [camera.width, camera.height], (outliers, 2))
     return Observed(px, camera.unproject(px), xyz)
 
 
@@ -38,6 +41,15 @@ def off(pose: Array, seed: int = 0, metres: float = 0.05, degrees: float = 1.0) 
     rng = np.random.default_rng(seed)
     turn = Rotation.from_rotvec(np.radians(degrees) * rng.standard_normal(3)).as_matrix()
     return pose @ make_pose(turn, metres * rng.standard_normal(3))
+
+
+def test_ransac_finds_the_pose_among_outliers() -> None:
+    views = walk(3, moving=False)
+    seen = observed(views, 1, 150, noise_px=0.3, outliers=75)
+    pose, inliers = there(ransac(seen.ideal, seen.xyz, 4 / 480, 2000, 0))
+    assert inliers[75:].mean() > 0.85 and inliers[:75].mean() < 0.1
+    assert position_error(pose, views.map_T_cam[1]) < 0.1 and rotation_error_deg(pose, views.map_T_cam[1]) < 1
+    assert ransac(np.zeros((3, 2)), np.zeros((3, 3)), 0.01, 100, 0) is None
 
 
 def test_without_shutter_and_noise_it_is_colmaps_pose() -> None:

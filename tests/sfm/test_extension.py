@@ -16,8 +16,8 @@ from groundwalk.store import UserError
 from groundwalk.store.choices import AttemptName
 
 
-def test_a_walk_that_fits_two_places_is_refused_with_the_names_of_the_frames_of_both() -> None:
-    """Of its six frames two are registered; each of the others matches both ends of a corridor."""
+def refused(misplaced: list[int]) -> str:
+    """The message about a walk of six, two of them registered; each of the others matches both ends of a corridor."""
     names = [f"corridor/{k}" for k in range(4)] + [f"walk/{k}" for k in range(6)]
     x = np.array([0.0, 1, 9, 10, 0, 1, *[np.nan] * 4])
     pairs = np.array([(old, new) for new in range(6, 10) for old in (0, 3)])
@@ -35,7 +35,7 @@ def test_a_walk_that_fits_two_places_is_refused_with_the_names_of_the_frames_of_
         observed_px=np.zeros((0, 2)),
         residual_px=np.zeros((0, 2)),
     )
-    built = [BuiltModel("mapping", 0, 6, 9, 9, 3.0, 0.5, misplaced=[6, 7, 8, 9], folder="model_0")]
+    built = [BuiltModel("mapping", 0, 6, 9, 9, 3.0, 0.5, misplaced=misplaced, folder="model_0")]
     matched = matched_pairs(pairs, np.full(len(pairs), "vio"), count, count)
     attempt = Attempt(
         name=AttemptName.ADDED,
@@ -49,6 +49,14 @@ def test_a_walk_that_fits_two_places_is_refused_with_the_names_of_the_frames_of_
     )
     with pytest.raises(UserError) as error:
         refuse_misfit(attempt, np.arange(10) >= 4, pd.DataFrame({"frame_id": names}))
-    said = str(error.value)
+    return str(error.value)
+
+
+def test_a_walk_that_fits_two_places_is_refused_with_the_names_of_the_frames_of_both() -> None:
+    said = refused(misplaced=[6, 7, 8, 9])
     assert "the new recordings fit the map at two places" in said
     assert "2 of 6 new frames registered" in said and "walk/2 matches corridor/0 and corridor/3" in said
+
+
+def test_a_walk_that_matches_without_fitting_is_no_ambiguity() -> None:
+    assert "the new recordings don't fit the map" in refused(misplaced=[])

@@ -190,3 +190,11 @@ def test_without_a_decoder_the_note_says_what_to_install(tmp_path: Path, monkeyp
     raw = read_one(tmp_path / "place")
     assert len(raw.frames) == 8 and not any(frame.depth for frame in raw.frames)
     assert any("pip install 'groundwalk[record3d]'" in note for note in raw.notes)
+
+
+def test_the_real_phone_with_lidar_has_depth_of_all_images(shared_captures: Path) -> None:
+    folder = shared_captures / "charuco" / "test-lowres"
+    if not folder.is_dir():
+        pytest.skip("no capture with depth")
+    with_image = [frame for frame in read_one(folder).frames if frame.image is not None]
+    assert len(with_image) == 31 and all(frame.depth and frame.depth.confidence for frame in with_image)

@@ -358,6 +358,18 @@ def test_what_puts_the_figures_in_doubt_is_said_before_them() -> None:
     pd.testing.assert_frame_equal(longer.tables["summary"], plain.tables["summary"])
 
 
+def test_quaternions_of_other_lengths_are_counted_and_taken_for_their_direction() -> None:
+    frames, truth, predictions = tables([1])
+    plain = run(frames, truth, predictions, methods=["raw", "paper_rule"])
+    longer = predictions.copy()
+    longer[[f"map_cam_q{a}" for a in "xyzw"]] *= 3.0
+    results = run(frames, truth, longer, methods=["raw", "paper_rule"])
+    predicted = int(predictions["map_cam_tx"].notna().sum())
+    assert results.counts["prediction_quaternions_not_of_unit_length"] == predicted
+    assert plain.counts["prediction_quaternions_not_of_unit_length"] == 0
+    pd.testing.assert_frame_equal(results.tables["summary"], plain.tables["summary"])
+
+
 def test_what_was_run_is_listed_with_its_options() -> None:
     found = run(*tables([1]), methods=["paper_rule", "vio_oracle"], options={"paper_rule": {"n": 3}}).tables
     methods = found["methods"].set_index("method")
@@ -412,7 +424,12 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path: Path, mo
     ):
         with pytest.raises(UserError, match=message):
             write(files, folder)
+    others = [tmp_path / f".out.{suffix}" for suffix in ("partial", "old")]
+    for foreign in others:
+        foreign.mkdir()
+        (foreign / "mine.txt").write_text("mine")
     write(files, out)
+    assert all((foreign / "mine.txt").read_text() == "mine" for foreign in others)
     note = json.loads((out / "evaluation.json").read_text())
     assert note["counts"]["frames"] == 40 and note["settings"]["methods"] == ["raw"]
     assert note["inputs"]["frames"]["sha256"] == hashlib.sha256(files.frames.read_bytes()).hexdigest()
@@ -429,12 +446,13 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path: Path, mo
         patched.setattr("groundwalk.fusion.commands.record", fail)
         with pytest.raises(UserError, match="can't be written"):
             write(files, out, force=True)
-    assert (out / "stale.parquet").exists() and len(list(tmp_path.iterdir())) == 4
+    assert (out / "stale.parquet").exists() and len(list(tmp_path.iterdir())) == 6
     (out / "mine.txt").write_text("mine")
     with pytest.raises(UserError, match=r"(?s)holds other files than earlier results.*mine.txt"):
         write(files, out, force=True)
     (out / "mine.txt").unlink()
     write(files, out, force=True)
+    assert all((foreign / "mine.txt").read_text() == "mine" for foreign in others)
     assert not (out / "stale.parquet").exists()
 
 

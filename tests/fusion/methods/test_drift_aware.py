@@ -17,6 +17,7 @@ from groundwalk.fusion.methods.paper_rule import PaperRule
 from groundwalk.fusion.methods.smoother import Smoother
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
+from tests.fusion.random_walks import random_walk
 from tests.fusion.upright_walks import as_walk, upright_walk
 from tests.known import there
 
@@ -136,6 +137,17 @@ def test_a_prediction_counts_less_for_leaning() -> None:
         leaning[-1, :3, :3] = Rotation.from_rotvec([np.radians(40), 0, 0]).as_matrix() @ apr[-1, :3, :3]
         weight, plain_weight = (answers(DriftAware(), t_ns, vio, p)[-1].signals["weight"] for p in (leaning, apr))
         assert weight < 0.3 * plain_weight
+
+
+def test_one_prediction_far_off_changes_next_to_nothing() -> None:
+    """It is turned by 150 degrees and 12 m off; the answer hardly moves, and forgets it."""
+    for seed in range(6):
+        t_ns, _, vio, apr = upright_walk(seed, 40, outliers=0.0)
+        bad = apr.copy()
+        bad[20] = make_pose(yaw_rotation(2.6) @ bad[20, :3, :3], bad[20, :3, 3] + [12.0, 0.0, 0.0])
+        fooled, fine = (poses(answers(DriftAware(), t_ns, vio, p)) for p in (bad, apr))
+        moved = position_error(fooled, fine)
+        assert moved[20] < 0.2 and moved.max() < 0.85 and moved[39] < 0.15  # 0.78 in one walk, else 0.12
 
 
 def test_some_seconds_of_wrong_predictions_are_no_reason_to_leave_odometry() -> None:
@@ -387,6 +399,13 @@ def test_a_regressor_that_takes_a_step_aside_for_a_turn_is_seen_through(monkeypa
             unaware.setattr(drift_aware, "_SIDE_TURN_COUNT", 1e9)
             without.append(position_error(poses(answers(DriftAware(), t_ns, vio, apr)), truth).mean())
     assert np.mean(with_it) < 0.9 * np.mean(without)  # 0.83
+
+
+def test_hopeless_walks_run() -> None:
+    for seed in range(4):
+        walk = random_walk(seed)
+        for estimate in answers(DriftAware(), walk.t_ns, walk.vio, walk.apr):
+            assert estimate.map_T_cam is None or np.isfinite(estimate.map_T_cam).all()
 
 
 def test_sure_predictions_that_all_contradict_each_other_do_not_stop_it() -> None:

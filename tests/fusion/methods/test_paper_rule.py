@@ -77,6 +77,37 @@ def test_agrees_with_the_literal_rule(block: int) -> None:
     assert seen >= {"gap", "drift", "locked", "odometry_jump", "no_odometry", "no_prediction"}
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_the_odometry_frame_does_not_matter(seed: int) -> None:
+    """Odometry's origin and heading are arbitrary: moving them moves nothing in the map. So is the zero of time.
+
+    Not so with `per_frame`: averaged transforms depend on how far away odometry's origin is.
+    """
+    walk, options = random_walk(seed), random_options(seed).model_copy(update={"reference": "averaged_poses"})
+    other_T_vio = make_pose(Rotation.random(rng=np.random.default_rng(seed)).as_matrix(), [30.0, -4.0, 11.0])
+    moved = [None if p is None else other_T_vio @ p for p in walk.vio]
+    a = fused(walk, PaperRule(options))
+    b = fused(RandomWalk(walk.t_ns - 10**12, walk.map_T_cam, moved, walk.apr), PaperRule(options))
+    assert [e.status for e in a] == [e.status for e in b]
+    for one, two in zip(a, b, strict=True):
+        if one.map_T_cam is not None:
+            assert np.allclose(one.map_T_cam, there(two.map_T_cam), atol=1e-6)
+
+
+def test_frames_without_a_prediction_change_no_decision() -> None:
+    """Odometry at 10 Hz between predictions at 1 Hz gives the same answers at the predictions, and more between."""
+    t_s = np.arange(0, 20, 0.1)
+    poses = make_pose(Rotation.from_rotvec(np.outer(0.1 * t_s, [0, 1, 0])).as_matrix(), np.outer(t_s, [1.0, 0.0, 0.3]))
+    sparse, dense = PaperRule(), PaperRule()
+    for i, (t, pose) in enumerate(zip(t_s, poses, strict=True)):
+        has_apr = i % 10 == 0
+        answer = dense.step(round(t * 1e9), pose, pose if has_apr else None)
+        if has_apr:
+            assert answer.status == sparse.step(round(t * 1e9), pose, pose).status
+        elif t > 2:
+            assert answer.status == "optimised" and np.allclose(there(answer.map_T_cam), pose, atol=1e-9)
+
+
 def straight(distances_m: Sequence[float], apr_distances_m: Sequence[float] | None = None) -> RandomWalk:
     """A walk along x at 1 Hz: odometry and predictions."""
     apr = distances_m if apr_distances_m is None else apr_distances_m
@@ -97,6 +128,16 @@ def test_thresholds_and_first_lock() -> None:
     assert estimates[4].signals["rpe_m"] == 0.5  # exactly on the threshold
     strict = fused(walk, PaperRule(PaperRuleOptions(d_th_m=0.5, comparison="<", n=1)))
     assert [e.status for e in strict] == ["none", "reliable", "reliable", "reliable", "optimised"]
+
+
+def test_length_check_is_blind_to_direction_and_se3_is_not() -> None:
+    """Point 3: a sideways error of 0.5 m on a 1 m step has an RPE of 0.12 m."""
+    walk = straight([0, 1, 2, 3, 4])
+    walk.apr[2] = make_pose(np.eye(3), [2, 0.5, 0])
+    by_length = fused(walk, PaperRule())
+    assert by_length[2].status == "reliable" and by_length[2].signals["rpe_m"] == pytest.approx(0.118, abs=1e-3)
+    whole = fused(walk, PaperRule(PaperRuleOptions(pair_check="se3")))
+    assert whole[2].status == "none" and whole[2].signals["rpe_m"] == pytest.approx(0.5)
 
 
 def test_similarity_depends_on_the_origin_and_metric_does_not() -> None:

@@ -5,11 +5,12 @@ import weakref
 from dataclasses import replace
 
 import numpy as np
+import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.fits import fit_sim3
-from groundwalk.geometry.poses import Array
+from groundwalk.geometry.poses import Array, inverse
 from groundwalk.geometry.robust import cauchy_weights
 from groundwalk.geometry.shutter import readout_lines
 from groundwalk.sfm.cameras import adjustment, normal_equations
@@ -42,16 +43,20 @@ _INTRINSICS = [483.0, 483.0, 320.0, 236.0]
 _ANGULAR_SD, _FOCUS_SD = 0.02, 0.003
 
 
-def _walk(seed: int, first_row: str = "top", k3: float = 0.0) -> tuple[Bundle, Cameras]:
-    """A camera in the middle of points all around, turning; what it sees."""
+def _walk(seed: int, first_row: str = "top", k3: float = 0.0, straight: bool = False) -> tuple[Bundle, Cameras]:
+    """A camera in the middle of points all around, turning, or going straight ahead; what it sees."""
     rng = np.random.default_rng(seed)
     angle = np.linspace(0, 2.0, _FRAMES)
     pose = np.tile(np.eye(4), (_FRAMES, 1, 1))
     pose[:, :3, 3] = np.column_stack([4 * np.sin(angle), 0.3 * rng.normal(size=_FRAMES), 4 * np.cos(angle)])
     turn = np.column_stack([angle, 0.1 * rng.normal(size=_FRAMES), 0.1 * rng.normal(size=_FRAMES)])
+    if straight:
+        pose[:, :3, 3] = np.column_stack([np.zeros((_FRAMES, 2)), 4 * np.sin(angle / 2)])
+        turn[:] = 0
     pose[:, :3, :3] = Rotation.from_euler("yxz", turn).as_matrix()
-    direction = rng.normal(size=(_POINTS, 3)) * [1, 0.5, 1]
-    xyz = direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(7, 13, (_POINTS, 1))
+    points = 2 * _POINTS if straight else _POINTS
+    direction = rng.normal(size=(points, 3)) * [1, 0.5, 1]
+    xyz = direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(7, 13, (points, 1))
     cameras = Cameras(
         np.tile(_INTRINSICS, (_FRAMES, 1)),
         readout_lines([first_row] * _FRAMES, 640, 480),
@@ -72,17 +77,13 @@ def _walk(seed: int, first_row: str = "top", k3: float = 0.0) -> tuple[Bundle, C
         point.append(np.flatnonzero(ahead))
         frame.append(np.full(len(point[-1]), row))
     frame_M, point_M = np.concatenate(frame), np.concatenate(point)
-    often = (np.bincount(point_M, minlength=_POINTS) >= 3)[point_M]
+    often = (np.bincount(point_M, minlength=points) >= 3)[point_M]
     kept, point_M = np.unique(point_M[often], return_inverse=True)
     bundle = Bundle(pose, xyz[kept], frame_M[often], point_M, np.full((len(point_M), 2), 240.0))
-    return _seen_by(cameras, bundle), cameras
-
-
-def _seen_by(cameras: Cameras, bundle: Bundle) -> Bundle:
-    """Where the points are seen: the row where one is seen decides when it is."""
     for _ in range(6):
+        # The row where a point is seen decides when it is.
         bundle = replace(bundle, observed_px=project(bundle, cameras))
-    return bundle
+    return bundle, cameras
 
 
 def _ring(seed: int, centre_px: Array) -> tuple[Bundle, Cameras]:
@@ -99,7 +100,9 @@ def _ring(seed: int, centre_px: Array) -> tuple[Bundle, Cameras]:
     frame, point = np.nonzero(depth < 4)  # the side that it looks at
     bundle = Bundle(pose, xyz, frame, point, np.full((len(point), 2), 240.0))
     cameras = replace(cameras, intrinsics=cameras.intrinsics + np.r_[0.0, 0.0, centre_px])
-    return _seen_by(cameras, bundle), cameras
+    for _ in range(6):
+        bundle = replace(bundle, observed_px=project(bundle, cameras))
+    return bundle, cameras
 
 
 def _adjusted(
@@ -110,11 +113,13 @@ def _adjusted(
     focus_sd: float = 0.001,
     angular_sd: float = _ANGULAR_SD,
     noise_px: float | Array = _NOISE_PX,
+    straight: bool = False,
+    centre_sd_px: float = 0.0,
     walk: tuple[Bundle, Cameras] | None = None,
 ) -> tuple[Adjusted, Bundle, Cameras]:
     """The walk adjusted from noisy observations and VIO's angular velocities; the lens as phones have it on average.
     `noise_px` is the sd of all observations or of each point's."""
-    truth, cameras = walk or _walk(seed, first_row, k3)
+    truth, cameras = walk or _walk(seed, first_row, k3, straight)
     assumed = readout_lines([assumed_first_row or first_row] * _FRAMES, 640, 480)
     rng = np.random.default_rng(100 + seed)
     mean = replace(
@@ -133,14 +138,32 @@ def _adjusted(
         np.full(2, 0.01),
         np.full(2, focus_sd),
         np.full((_FRAMES, 3), angular_sd),
-        np.zeros(1),
+        np.full(1, centre_sd_px),
     )
     pose = truth.sfm_T_cam.copy()
     pose[:, :3, 3] += rng.normal(0, 0.01, (_FRAMES, 3))
-    xyz = truth.xyz + rng.normal(0, 0.02, truth.xyz.shape)
-    sd_px = noise_px if isinstance(noise_px, float) else noise_px[truth.point, None]
-    observed_px = truth.observed_px + rng.normal(0, sd_px, truth.observed_px.shape)
-    return adjust(replace(truth, sfm_T_cam=pose, xyz=xyz, observed_px=observed_px), mean, priors), truth, cameras
+    noisy = replace(
+        truth,
+        sfm_T_cam=pose,
+        xyz=truth.xyz + rng.normal(0, 0.02, truth.xyz.shape),
+        observed_px=truth.observed_px + rng.normal(0, _of_observations(noise_px, truth), truth.observed_px.shape),
+    )
+    return adjust(noisy, mean, priors), truth, cameras
+
+
+def _of_observations(noise_px: float | Array, bundle: Bundle) -> float | Array:
+    return noise_px if isinstance(noise_px, float) else noise_px[bundle.point, None]
+
+
+def test_without_shutter_a_point_is_seen_where_colmaps_opencv_camera_has_it() -> None:
+    bundle, cameras = _walk(0)
+    for row in (0, _FRAMES - 1):
+        seen = bundle.frame == row
+        params = [*cameras.focal[row], 320, 236, *cameras.coefficients[0, :4]]
+        camera = pycolmap.Camera(camera_id=1, model="OPENCV", width=640, height=480, params=params)
+        cam_T_sfm = inverse(bundle.sfm_T_cam[row])
+        points = bundle.xyz[bundle.point[seen]] @ cam_T_sfm[:3, :3].T + cam_T_sfm[:3, 3]
+        assert np.allclose(project(bundle, cameras, shutter=False)[seen], camera.img_from_cam(points), atol=1e-8)
 
 
 def test_a_row_is_seen_from_where_the_camera_is_at_its_time() -> None:
@@ -174,9 +197,16 @@ def test_derivatives_are_those_of_finite_differences(rational: tuple[float, floa
     assert np.allclose(change, predicted, atol=2e-6)
 
 
+def test_the_system_times_a_vector_is_its_matrix_times_it() -> None:
+    system, diagonal, matrix = _system(2)
+    rng = np.random.default_rng(2)
+    vectors = rng.normal(size=(4, len(matrix))) / np.sqrt(diagonal)
+    assert np.allclose([system.times(x) for x in vectors], vectors @ matrix, rtol=1e-9, atol=1e-9 * diagonal.max())
+    assert np.allclose(diagonal, np.diag(matrix), rtol=1e-9)
+
+
 def test_a_system_is_solved_with_the_factor_of_another_one() -> None:
     solver, (first, diagonal, _), (second, other_diagonal, matrix) = Solver(), _system(2), _system(3)
-    assert np.allclose(other_diagonal, np.diag(matrix), rtol=1e-9)
     solver.solve(first, diagonal, 1e-6, -first.gradient)
     step = solver.solve(second, other_diagonal, 1e-6, -second.gradient)
     exact = np.linalg.solve(matrix + 1e-6 * np.diag(other_diagonal), -second.gradient)
@@ -290,6 +320,16 @@ def test_points_beside_the_image_that_the_lens_folds_into_it_are_known() -> None
     assert np.flatnonzero(folded(seen, cameras)).tolist() == [len(bundle.point)]
 
 
+def test_turns_and_sideways_steps_tell_the_focal_length() -> None:
+    """What the check of focal lengths advises where it's undecided."""
+    sd = []
+    for straight in (True, False):
+        adjusted, _, _ = _adjusted(0, straight=straight)
+        estimate = there(covariances(adjusted))
+        sd.append(np.sqrt(np.diag(estimate.shared)[-2:]).max())
+    assert sd[1] < sd[0] / 2
+
+
 def test_the_focal_lengths_sigma_round_an_object_allows_for_a_principal_point_that_is_off() -> None:
     """All images have that alike, so that none of them differs by it."""
     ratios: list[list[float]] = [[], []]
@@ -309,7 +349,9 @@ def test_the_focal_lengths_sigma_round_an_object_allows_for_a_principal_point_th
 def test_a_prior_of_the_focal_length_that_images_deny_does_not_make_it_certain() -> None:
     truth, cameras = _ring(0, np.zeros(2))
     longer = replace(cameras, log_focal=cameras.log_focal + 0.06)
-    adjusted, _, _ = _adjusted(0, walk=(_seen_by(longer, truth), longer))
+    for _ in range(6):
+        truth = replace(truth, observed_px=project(truth, longer))
+    adjusted, _, _ = _adjusted(0, walk=(truth, longer))
     assert (with_likeliest_sds(adjusted).log_focal_sd > 0.03).all()
     right, _, _ = _adjusted(0)
     assert np.array_equal(with_likeliest_sds(right).log_focal_sd, right.priors.log_focal_sd)
@@ -323,6 +365,13 @@ def test_the_opposite_side_gives_a_readout_below_0_and_another_axis_is_worse() -
     top, _, _ = _adjusted(0, "right", "top")
     assert top.loss_px > 1.1 * right.loss_px
     assert _position_error_m(top.bundle, truth) > 2 * _position_error_m(right.bundle, truth)
+
+
+def test_a_camera_without_shutter_and_lens_leaves_the_truth_wrong() -> None:
+    adjusted, truth, cameras = _adjusted(0)
+    pinhole = replace(cameras, coefficients=np.zeros((1, 8)), readout_s=np.zeros(1))
+    exact = replace(adjusted.priors, mean=pinhole, lens_covariance=1e-14 * np.eye(4)[None])
+    assert _position_error_m(adjust(adjusted.bundle, pinhole, exact).bundle, truth) > 0.02
 
 
 def test_sigmas_of_lens_readout_and_poses_are_honest() -> None:

@@ -53,6 +53,13 @@ def test_vio_pairs_keep_to_the_limits_and_to_the_session(frames: int, seed: int)
     assert len(pairs) <= _PER_FRAME * frames
 
 
+def test_frames_without_vio_get_no_vio_pairs_and_no_limits() -> None:
+    session, poses = _walk(40, 2)
+    poses[10] = np.nan
+    assert 10 not in _vio_pairs(session, poses)
+    assert within_vio_limits(np.array([[0, 10], [10, 39]]), session, poses, _REACH_M, _ANGLE_DEG).all()
+
+
 def test_sequence_pairs_are_the_next_frames_by_time_in_each_recording() -> None:
     recording = np.array(["a", "b", "a", "a", "b", "a"])
     t_ns = np.array([30, 5, 10, 20, 1, 40])

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pandas as pd
+import pycolmap
 
 from groundwalk.sfm.database import Workspace, create_database, extract_features, keypoint_counts, read_keypoints
 from groundwalk.sfm.settings import SfmSettings
@@ -50,3 +51,23 @@ def test_a_killed_extraction_goes_on_to_the_same_features(tmp_path: Path) -> Non
     extract_features(quiet, database, images_in(tmp_path), settings)
     assert (keypoint_counts(database, len(NAMES)) > 0).all()
     np.testing.assert_array_equal(read_keypoints(database, len(NAMES))[0], first)
+
+
+def test_blurred_boxes_get_no_features(tmp_path: Path) -> None:
+    settings, found = SfmSettings(max_features=500), []
+    boxes = np.array([[100.0, 50.0, 300.0, 250.0], [-20.0, 400.0, 60.0, 500.0]])
+    for blurred in ({}, {"1.png": boxes}):
+        (tmp_path / "features.db").unlink(missing_ok=True)
+        database = images_and_database(tmp_path)
+        extract_features(quiet, database, Workspace(tmp_path, NAMES, tmp_path, blurred), settings)
+        found.append(read_keypoints(database, len(NAMES)))
+        with pycolmap.Database.open(database) as opened:
+            assert [opened.read_descriptors(n + 1).data.shape[0] for n in range(3)] == [len(px) for px in found[-1]]
+    (first, px, last), (same_first, fewer, same_last) = found
+    is_inside = np.zeros(len(px), bool)
+    for left, top, right, bottom in boxes:
+        is_inside |= (px[:, 0] > left) & (px[:, 0] < right) & (px[:, 1] > top) & (px[:, 1] < bottom)
+    assert np.count_nonzero(is_inside) > 20
+    np.testing.assert_array_equal(fewer, px[~is_inside])
+    np.testing.assert_array_equal(same_first, first)
+    np.testing.assert_array_equal(same_last, last)

@@ -107,3 +107,13 @@ def test_drift_grows_with_the_path_and_a_jump_adds_to_it() -> None:
     assert calm[1] == pytest.approx(np.radians(3 + 2.5 * np.sqrt([1, 4, 2])))
     assert jumped[0] - calm[0] == pytest.approx([0, 0, 4.6])
     assert jumped[1] - calm[1] == pytest.approx([0, 0, 0.2])
+
+
+def test_frames_without_vio_are_compared_with_nothing() -> None:
+    poses, session, t_ns = _walk(10, 4)
+    poses[2] = np.nan
+    pairs = np.array([[1, 2], [2, 3]])
+    vio = _odometry(poses, session, t_ns)
+    assert np.isfinite(vio.travelled_m).all()
+    found = compare_with_vio(pairs, np.tile(np.eye(4), (2, 1, 1)), np.full(2, _WIDE), vio)
+    assert (found["reason"] == "").all() and found["rotation"].isna().all()

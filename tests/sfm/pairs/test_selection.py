@@ -128,3 +128,13 @@ def test_the_most_similar_frames_of_the_other_walk_are_those_of_the_same_place()
     place = pairs % _STREET_FRAMES
     assert np.mean(np.abs(place[:, 0] - place[:, 1]) <= 2) > 0.95
     assert set(pairs.ravel()) == set(range(len(images)))
+
+
+def test_same_seed_same_descriptors_and_an_image_without_features_is_no_obstacle() -> None:
+    images, session = _descriptors(1)
+    images[3] = np.empty((0, 0), np.uint8)
+    once, again = vlad(images, 5), vlad(images, 5)
+    assert np.array_equal(once, again)
+    assert np.isfinite(once).all()
+    assert np.allclose(np.delete(np.linalg.norm(once, axis=1), 3), 1, atol=1e-5)
+    assert len(retrieval_pairs(once, session, 3)) > 0 == len(retrieval_pairs(once, np.zeros(len(images)), 5))
