@@ -43,6 +43,7 @@ def pictures(
     for file in needed:
         if not file.is_file():
             raise UserError("there is nothing to photograph", where=file, do=run_command(file.parent))
+    out.mkdir(parents=True, exist_ok=True)  # OpenCV writes into no folder that is missing, and says nothing
     for name, picture in (("page", _page(needed[0])), ("recordings", _recordings(needed[1:]))):
         cv2.imwrite(str(out / f"{name}.jpg"), picture, [cv2.IMWRITE_JPEG_QUALITY, 88])
         print(out / f"{name}.jpg")
