@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pycolmap
+from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
 from groundwalk.geometry.lens import k1_k2_of_k3
@@ -21,6 +22,7 @@ from groundwalk.sfm.cameras.adjustment import (
     adjust,
     folded,
     frame_variances,
+    is_large,
     loss_variance,
     marginal_readout,
     project,
@@ -37,6 +39,7 @@ from groundwalk.sfm.cameras.lenses import (
     prior_lenses,
 )
 from groundwalk.sfm.cameras.motion import Motion, motion_by_vio, offset_of_frames
+from groundwalk.sfm.cameras.tracks import longest_tracks, of_points, placed
 from groundwalk.sfm.database import Ints, image_id, pose_of
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import CameraOrigin
@@ -152,11 +155,11 @@ def adjust_model(
         raise LinAlgError("hardly any frame has enough observations for a pose")
     rows, point_ids, bundle, features = _bundle_of(model, keypoints, held)
     cameras, priors = _cameras_of(rows, bundle, log, settings)
-    adjusted = adjust(bundle, cameras, priors, rough=True)
-    _write_back(model, rows, point_ids, adjusted, features)
-    residual = project(adjusted.bundle, adjusted.cameras) - bundle.observed_px
+    adjusted, whole, _ = _adjust_longest(bundle, cameras, priors, rough=True)
+    _write_back(model, rows, point_ids, whole, adjusted.cameras, features)
+    residual = project(whole, adjusted.cameras) - bundle.observed_px
     outliers = np.linalg.norm(residual, axis=1) > _OUTLIER_SIGMAS * np.sqrt(loss_variance(adjusted.loss_px))
-    outliers |= folded(adjusted.bundle, adjusted.cameras)
+    outliers |= folded(whole, adjusted.cameras)
     for row, feature in zip(rows[bundle.frame[outliers]].tolist(), features[outliers].tolist(), strict=True):
         if model.image(image_id(row)).point2D(feature).has_point3D():
             observations.delete_observation(image_id(row), feature)
@@ -170,13 +173,32 @@ def adjust_model(
         learned = with_likeliest_sds(adjusted)
         lenses = [log.lenses.priors[k] for k in np.unique(log.lenses.lens[rows])]
         learned = replace(learned, lens_covariance=learned.lens_covariance + np.array([*map(_doubt, lenses)]))
-    adjusted = marginal_readout(adjust(bundle, adjusted.cameras, priors))
-    _write_back(model, rows, point_ids, adjusted, features)
+    adjusted, whole, is_adjusted = _adjust_longest(bundle, adjusted.cameras, priors)
+    _write_back(model, rows, point_ids, whole, adjusted.cameras, features)
     observations.filter_observations_with_negative_depth()
     model.update_point_3d_errors()
     _, left_ids, left, _ = _bundle_of(model, keypoints, held, rows)
-    noise = adjusted.noise[np.searchsorted(point_ids, left_ids)]
-    return replace(adjusted, bundle=left, priors=learned, noise=noise), rows
+    point_ids = point_ids[is_adjusted]
+    is_adjusted = np.isin(left_ids, point_ids)
+    noise = adjusted.noise[np.searchsorted(point_ids, left_ids[is_adjusted])]
+    return replace(adjusted, bundle=of_points(left, is_adjusted), priors=learned, noise=noise), rows
+
+
+def _adjust_longest(
+    bundle: Bundle, cameras: Cameras, priors: CameraPriors, *, rough: bool = False
+) -> tuple[Adjusted, Bundle, NDArray[np.bool_]]:
+    """The adjusted bundle, of a large model that of its longest tracks; the bundle with all points after that; and
+    which of them (P,) were adjusted."""
+    kept = np.ones(len(bundle.xyz), bool)
+    if is_large(len(bundle.sfm_T_cam) - len(bundle.held_frames)):
+        kept = longest_tracks(bundle, cameras)
+    adjusted = adjust(of_points(bundle, kept), cameras, priors, rough=rough)
+    if not rough:
+        adjusted = marginal_readout(adjusted)
+    whole = replace(bundle, sfm_T_cam=adjusted.bundle.sfm_T_cam, xyz=bundle.xyz.copy())
+    whole.xyz[kept] = adjusted.bundle.xyz
+    whole.xyz[~kept] = placed(of_points(whole, ~kept), adjusted.cameras, adjusted.loss_px)
+    return adjusted, whole, kept
 
 
 def _doubt(lens: LensPrior) -> Array:
@@ -404,9 +426,8 @@ def _sd_growth(mean_M: Array, variance_M: Array, prior_sd: Array) -> float:
 
 
 def _write_back(
-    model: pycolmap.Reconstruction, rows: Ints, point_ids: Ints, adjusted: Adjusted, feature_M: Ints
+    model: pycolmap.Reconstruction, rows: Ints, point_ids: Ints, bundle: Bundle, cameras: Cameras, feature_M: Ints
 ) -> None:
-    bundle, cameras = adjusted.bundle, adjusted.cameras
     # The effect of the rolling shutter is removed from each observation.
     global_px = bundle.observed_px + project(bundle, cameras, shutter=False) - project(bundle, cameras)
     focal = cameras.focal

@@ -51,8 +51,10 @@ def build_models(
     model that its images don't determine isn't selected. The largest comes first, and its lenses are the prior of the
     others'. A stated lens is held unless the images deny it (module `stated`).
     """
-    work, matches, keypoints = _begun(verified, source, output)
-    built = _map(report, source, len(keypoints), settings.mapper, start_T_cam, work)
+    work = _begun(verified, source, output)
+    built = _map(report, source, len(verified.frames), settings.mapper, start_T_cam, work)
+    # Not before, for memory.
+    matches, keypoints = _matches_and_keypoints(verified, source)
     assigned: set[int] = set()
     names = itertools.chain(["model"], (f"model_{number}" for number in itertools.count(2)))
     for index in sorted(range(len(built)), key=lambda i: _size(built[i]), reverse=True):
@@ -82,14 +84,18 @@ def build_models(
     _finish(work, [entry for entry, _ in built], output)
 
 
-def _begun(verified: VerifiedPairs, source: MappingInput, output: Path) -> tuple[Path, Matches, list[Array]]:
-    """The folder, still empty, that becomes the output, the matches that are mapped and held out, and all frames'
-    keypoints as extracted."""
+def _begun(verified: VerifiedPairs, source: MappingInput, output: Path) -> Path:
+    """The folder, still empty, that becomes the output; the mapper's database is written."""
     work = output.with_name(output.name + ".partial")
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
     write_mapping_input(verified, source.database, source.seed)
-    return work, read_matches(source.database), read_keypoints(verified.features, len(verified.frames))
+    return work
+
+
+def _matches_and_keypoints(verified: VerifiedPairs, source: MappingInput) -> tuple[Matches, list[Array]]:
+    """The matches that are mapped and held out, and all frames' keypoints as extracted."""
+    return read_matches(source.database), read_keypoints(verified.features, len(verified.frames))
 
 
 def _finish(work: Path, built: Sequence[BuiltModel], output: Path) -> None:
@@ -146,7 +152,8 @@ def extend_models(
     COLMAP finds the poses. Of its adjustments, which move points, only these are kept, with which features are of one
     point; then the new frames and points are adjusted, the others held, and misplaced frames taken out.
     """
-    work, matches, keypoints = _begun(verified, source, output)
+    work = _begun(verified, source, output)
+    matches, keypoints = _matches_and_keypoints(verified, source)
     built, taken, registered = [], set[int](), itertools.count(1)
     for number, one in enumerate(finished[1]):
         model = renumbered(finished[0] / one.folder, image_names(verified.frames))

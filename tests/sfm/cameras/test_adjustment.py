@@ -43,7 +43,7 @@ _INTRINSICS = [483.0, 483.0, 320.0, 236.0]
 _ANGULAR_SD, _FOCUS_SD = 0.02, 0.003
 
 
-def _walk(seed: int, first_row: str = "top", k3: float = 0.0, straight: bool = False) -> tuple[Bundle, Cameras]:
+def walk_of(seed: int, first_row: str = "top", k3: float = 0.0, straight: bool = False) -> tuple[Bundle, Cameras]:
     """A camera in the middle of points all around, turning, or going straight ahead; what it sees."""
     rng = np.random.default_rng(seed)
     angle = np.linspace(0, 2.0, _FRAMES)
@@ -88,7 +88,7 @@ def _walk(seed: int, first_row: str = "top", k3: float = 0.0, straight: bool = F
 
 def _ring(seed: int, centre_px: Array) -> tuple[Bundle, Cameras]:
     """A camera that goes round an object, and what it sees if the principal point isn't the logged one."""
-    _, cameras = _walk(seed)
+    _, cameras = walk_of(seed)
     rng = np.random.default_rng(seed)
     angle = np.linspace(0, 2 * np.pi, _FRAMES, endpoint=False)
     pose = np.tile(np.eye(4), (_FRAMES, 1, 1))
@@ -119,7 +119,7 @@ def _adjusted(
 ) -> tuple[Adjusted, Bundle, Cameras]:
     """The walk adjusted from noisy observations and VIO's angular velocities; the lens as phones have it on average.
     `noise_px` is the sd of all observations or of each point's."""
-    truth, cameras = walk or _walk(seed, first_row, k3, straight)
+    truth, cameras = walk or walk_of(seed, first_row, k3, straight)
     assumed = readout_lines([assumed_first_row or first_row] * _FRAMES, 640, 480)
     rng = np.random.default_rng(100 + seed)
     mean = replace(
@@ -156,7 +156,7 @@ def _of_observations(noise_px: float | Array, bundle: Bundle) -> float | Array:
 
 
 def test_without_shutter_a_point_is_seen_where_colmaps_opencv_camera_has_it() -> None:
-    bundle, cameras = _walk(0)
+    bundle, cameras = walk_of(0)
     for row in (0, _FRAMES - 1):
         seen = bundle.frame == row
         params = [*cameras.focal[row], 320, 236, *cameras.coefficients[0, :4]]
@@ -167,7 +167,7 @@ def test_without_shutter_a_point_is_seen_where_colmaps_opencv_camera_has_it() ->
 
 
 def test_a_row_is_seen_from_where_the_camera_is_at_its_time() -> None:
-    bundle, cameras = _walk(0)
+    bundle, cameras = walk_of(0)
     observation = int(np.argmax(np.abs(bundle.observed_px[:, 1] - 240)))
     row = bundle.frame[observation]
     tau = _READOUT_S * (bundle.observed_px[observation, 1] / 480 - 0.5)
@@ -180,7 +180,7 @@ def test_a_row_is_seen_from_where_the_camera_is_at_its_time() -> None:
 
 @pytest.mark.parametrize("rational", [(0.0, 0.0, 0.0), (0.3, 0.1, -0.02)])
 def test_derivatives_are_those_of_finite_differences(rational: tuple[float, float, float]) -> None:
-    bundle, cameras = _walk(1)
+    bundle, cameras = walk_of(1)
     coefficients = cameras.coefficients.copy()
     coefficients[:, 5:] = rational
     cameras = replace(cameras, coefficients=coefficients)
@@ -287,7 +287,7 @@ def test_lens_readout_and_poses_are_recovered(first_row: str, k3: float) -> None
 def test_points_that_are_found_precisely_count_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of points whose variances differ by chi-squared numbers of two degrees of freedom."""
     seeds = range(4)
-    noise_px = [_NOISE_PX * np.sqrt(2 / np.random.default_rng(k).chisquare(2, len(_walk(k)[0].xyz))) for k in seeds]
+    noise_px = [_NOISE_PX * np.sqrt(2 / np.random.default_rng(k).chisquare(2, len(walk_of(k)[0].xyz))) for k in seeds]
 
     def error_m() -> float:
         trials = [_adjusted(k, noise_px=noise_px[k]) for k in seeds]
@@ -305,7 +305,7 @@ def _let_points_count_alike(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_points_beside_the_image_that_the_lens_folds_into_it_are_known() -> None:
-    bundle, cameras = _walk(0)
+    bundle, cameras = walk_of(0)
     assert not folded(bundle, cameras).any()
     beside = bundle.sfm_T_cam[0, :3, 3] + bundle.sfm_T_cam[0, :3, :3] @ [9.0, 0.0, 5.0]
     seen = replace(

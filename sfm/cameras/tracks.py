@@ -1,0 +1,82 @@
+"""Of a large model: the tracks that are adjusted with its cameras, and the points of the others after that.
+
+Time and memory of an adjustment go by its observations, and hundreds in a frame say little more than a few dozen that
+are all over its image and reach far (COLMAP's global mapper and its adjustment leave out tracks likewise).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.robust import cauchy_weights
+from groundwalk.geometry.rows import summed
+from groundwalk.sfm.cameras.adjustment import Bundle, Cameras, linearize, loss_of
+
+# An image's parts, and the tracks that are kept for each.
+_PARTS, _TRACKS_PER_PART = 4, 8
+_STEPS = 6
+_POINTS_AT_ONCE = 20_000
+
+
+def longest_tracks(bundle: Bundle, cameras: Cameras) -> NDArray[np.bool_]:
+    """Which points (P,) are among the longest tracks in a sixteenth of any of their images."""
+    share = bundle.observed_px / (2 * cameras.intrinsics[bundle.frame, 2:])
+    column, row = np.clip(_PARTS * share, 0, _PARTS - 1).astype(np.int64).T
+    part = (bundle.frame * _PARTS + row) * _PARTS + column
+    length = np.bincount(bundle.point, minlength=len(bundle.xyz))[bundle.point]
+    order = np.lexsort((bundle.point, -length, part))
+    starts = np.concatenate([[0], np.cumsum(np.bincount(part))])
+    rank = np.arange(len(part)) - starts[part[order]]
+    chosen = np.zeros(len(bundle.xyz), bool)
+    chosen[bundle.point[order[rank < _TRACKS_PER_PART]]] = True
+    return chosen
+
+
+def of_points(bundle: Bundle, kept: NDArray[np.bool_]) -> Bundle:
+    """The bundle of some points (P,) and all frames."""
+    number, own = np.cumsum(kept) - 1, kept[bundle.point]
+    held = bundle.held_points
+    return replace(
+        bundle,
+        xyz=bundle.xyz[kept],
+        frame=bundle.frame[own],
+        point=number[bundle.point[own]],
+        observed_px=bundle.observed_px[own],
+        held_points=number[held[kept[held]]],
+    )
+
+
+def placed(bundle: Bundle, cameras: Cameras, loss_px: float) -> Array:
+    """The points (P, 3) where their observations have them if all cameras are right: Gauss-Newton on a Cauchy loss, of
+    each point the best of some steps. `loss_px` is its width in the end."""
+    xyz = bundle.xyz.copy()
+    order = np.argsort(bundle.point, kind="stable")
+    bounds = np.searchsorted(bundle.point[order], np.arange(0, len(xyz) + _POINTS_AT_ONCE, _POINTS_AT_ONCE))
+    for number, first in enumerate(range(0, len(xyz), _POINTS_AT_ONCE)):
+        own = order[bounds[number] : bounds[number + 1]]
+        part = replace(
+            bundle,
+            xyz=xyz[first : first + _POINTS_AT_ONCE],
+            frame=bundle.frame[own],
+            point=bundle.point[own] - first,
+            observed_px=bundle.observed_px[own],
+            held_points=np.empty(0, np.int64),
+        )
+        points, best = len(part.xyz), part.xyz.copy()
+        lowest = np.full(points, np.inf)
+        for _ in range(_STEPS):
+            linear = linearize(part, cameras)
+            square_px2 = np.sum(linear.residual**2, axis=1)
+            cost = np.bincount(part.point, np.log1p(square_px2 / loss_px**2), points)
+            is_better = cost < lowest
+            best[is_better], lowest[is_better] = part.xyz[is_better], cost[is_better]
+            weighted = cauchy_weights(linear.residual, loss_of(linear.residual))[:, None, None] * linear.by_point
+            blocks = summed(np.swapaxes(weighted, 1, 2) @ linear.by_point, part.point, points)
+            blocks += 1e-9 * np.trace(blocks, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+            pull = summed(np.einsum("mij,mi->mj", weighted, linear.residual), part.point, points)
+            part = replace(part, xyz=part.xyz - np.linalg.solve(blocks, pull[:, :, None])[:, :, 0])
+        xyz[first : first + points] = best
+    xyz[bundle.held_points] = bundle.xyz[bundle.held_points]
+    return xyz
