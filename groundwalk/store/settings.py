@@ -53,7 +53,6 @@ class SceneConfig(Settings):
     environment: Literal["outdoor", "indoor", "unknown"] = Field(
         "unknown", description="outdoor or indoor scenes share Table II's averages and MS-T's first loss weights"
     )
-    extent_m: list[float] | None = Field(None, description="published or expected extent, metres")
     can_simulate: bool = Field(False, description="simulation/ knows this place")
     members: list[str] = Field(default_factory=list, description="a group's scenes, or groups")
     stages: list[str] = Field(default_factory=lambda: list(STAGES), description="what a group itself runs")

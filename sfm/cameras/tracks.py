@@ -14,14 +14,16 @@ from groundwalk.geometry.robust import cauchy_weights
 from groundwalk.geometry.rows import summed
 from groundwalk.sfm.cameras.adjustment import Bundle, Cameras, linearize, loss_of
 
-# An image's parts, and the tracks that are kept for each.
-_PARTS, _TRACKS_PER_PART = 4, 8
+# An image's parts, along each side, and the tracks that are kept for each; more of them where there would be fewer
+# points than this for a frame, by whose scatter covariances are known.
+_PARTS, _TRACKS_PER_PART, _POINTS_PER_FRAME = 4, 8, 20
 _STEPS = 6
 _POINTS_AT_ONCE = 20_000
 
 
 def longest_tracks(bundle: Bundle, cameras: Cameras) -> NDArray[np.bool_]:
-    """Which points (P,) are among the longest tracks in a sixteenth of any of their images."""
+    """Which points (P,) are among the longest tracks in a sixteenth of any of their images, as many of each as it takes
+    for enough points."""
     share = bundle.observed_px / (2 * cameras.intrinsics[bundle.frame, 2:])
     column, row = np.clip(_PARTS * share, 0, _PARTS - 1).astype(np.int64).T
     part = (bundle.frame * _PARTS + row) * _PARTS + column
@@ -29,9 +31,11 @@ def longest_tracks(bundle: Bundle, cameras: Cameras) -> NDArray[np.bool_]:
     order = np.lexsort((bundle.point, -length, part))
     starts = np.concatenate([[0], np.cumsum(np.bincount(part))])
     rank = np.arange(len(part)) - starts[part[order]]
-    chosen = np.zeros(len(bundle.xyz), bool)
-    chosen[bundle.point[order[rank < _TRACKS_PER_PART]]] = True
-    return chosen
+    # Of each point, in the part where it comes first.
+    best = np.full(len(bundle.xyz), len(part))
+    np.minimum.at(best, bundle.point[order], rank)
+    enough = np.sort(best)[: _POINTS_PER_FRAME * len(bundle.sfm_T_cam)]
+    return best < max(_TRACKS_PER_PART, int(enough.max(initial=0)) + 1)
 
 
 def of_points(bundle: Bundle, kept: NDArray[np.bool_]) -> Bundle:

@@ -18,6 +18,8 @@ from tests.sfm.synthetic_model import log_of, synthetic_model
 def test_each_part_of_an_image_keeps_its_longest_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracks, "_TRACKS_PER_PART", 2)
     bundle, cameras = walk_of(0)
+    assert longest_tracks(bundle, cameras).sum() >= 20 * len(bundle.sfm_T_cam)  # enough for covariances
+    monkeypatch.setattr(tracks, "_POINTS_PER_FRAME", 0)
     kept = longest_tracks(bundle, cameras)
     assert kept.mean() < 0.7
     length = np.bincount(bundle.point)
@@ -65,6 +67,7 @@ def test_a_large_model_comes_out_as_a_small_one_with_all_its_points(monkeypatch:
         with monkeypatch.context() as patch:
             patch.setattr(model_adjustment, "is_large", lambda frames: is_large)
             patch.setattr(tracks, "_TRACKS_PER_PART", 1)
+            patch.setattr(tracks, "_POINTS_PER_FRAME", 0)
             one, rows = adjust_model(model, keypoints, log_of(model), SfmSettings(refine_cameras="never"))
         poses = np.stack([pose_of(model.image(row + 1)) for row in rows])
         return poses, {i: point.xyz for i, point in model.points3D.items()}, len(one.bundle.xyz)
