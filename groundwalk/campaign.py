@@ -7,9 +7,11 @@ want of it; the stages themselves know whether they have anything to do, and go 
 
 import importlib.util
 import json
+import os
 import shlex
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -37,8 +39,9 @@ app = new_app("Many scenes.")
 PLAN, WORKFLOW, TABLE, PAGE = "plan.json", "Snakefile", "campaign.parquet", "campaign.html"
 _COLUMNS = ("scene", "captures", "profile", "until")
 _ATTEMPTS = 3  # each with so many times the memory and time of the first
-# Where no finished run says what a stage takes; of one that does, so many times as much.
-_DEFAULT_MIB, _DEFAULT_MINUTES, _MARGIN = 4096, 60, 1.5
+# Where no finished run says what a stage takes, of several cores or of one; of one that does, so many times as much.
+_DEFAULT_MIB, _DEFAULT_MIB_OF_ONE_CORE, _DEFAULT_MINUTES, _MARGIN = 4096, 1024, 60, 1.5
+_MEMORY_SHARE = 0.9  # of this machine's, for jobs that run here
 # Another node, or more memory, may do: words of errors that a stage ends with as it does with refusals.
 _MACHINES = (
     "no space left|quota exceeded|memory is used up|allocate memory|input/output error|stale file handle"
@@ -97,8 +100,9 @@ def campaign(
     if not status:
         with locked(folder):
             jobs, problems = plan(table, profile, root)
-            write_workflow(folder, jobs, problems, root)
-            failed = _snakemake(folder, cores or usable_cores(), context.args) if jobs else 0
+            cores = cores or usable_cores()
+            write_workflow(folder, jobs, problems, root, cores, is_local=_is_local(context.args))
+            failed = _snakemake(folder, cores, context.args) if jobs else 0
     outcome = write_report(folder, root)
     write_index(root)
     progress.stdout.print(f"{_counts(outcome)}: {folder / PAGE}")
@@ -167,19 +171,25 @@ def _jobs_of(data: DataRoot, profile: str, scene: str, until: str | None) -> Ite
         yield job
 
 
-def write_workflow(folder: Path, jobs: list[Job], problems: dict[str, str], data: DataRoot) -> None:
+def write_workflow(
+    folder: Path, jobs: list[Job], problems: dict[str, str], data: DataRoot, cores: int = 1, *, is_local: bool = True
+) -> None:
     """Write the plan and the workflow. Flags of what isn't up to date any more go, and so do notes of refusals: their
-    reason may be gone."""
+    reason may be gone. A job takes all cores of this machine, or its share of them where the jobs run here: side by
+    side scenes keep cores busier than one after the other."""
     for job in jobs:
         flag = folder / "done" / job.id
         if flag.exists() and not is_step_up_to_date(Step(job.command, job.scene), job.profile, data):
             flag.unlink()
         _refusal(folder, job).unlink(missing_ok=True)
     commands = list(dict.fromkeys(job.command for job in jobs))
-    kinds = dict.fromkeys((job.profile, job.command) for job in jobs)
+    kinds = Counter((job.profile, job.command) for job in jobs)
     content = {
         "needs": {job.id: job.needs for job in jobs},
-        "resources": {"/".join(kind): _resources(*kind, data) for kind in kinds},
+        "resources": {
+            "/".join(kind): _resources(*kind, data, max(1, cores // scenes) if is_local else cores)
+            for kind, scenes in kinds.items()
+        },
         "problems": problems,
     }
     folder.mkdir(parents=True, exist_ok=True)
@@ -237,14 +247,18 @@ def _shell(command: str, data: DataRoot) -> str:
     )
 
 
-def _resources(profile: str, command: str, data: DataRoot) -> dict[str, int]:
-    """Cores, MiB and minutes of a command: by the finished runs of the data folder with this profile."""
+def _resources(profile: str, command: str, data: DataRoot, cores: int) -> dict[str, int]:
+    """Cores, of these at most, MiB and minutes of a command: by the finished runs of the data folder with this
+    profile."""
     made = finished_stages(data, command, profile)
     mib = max((one.mib for one in made), default=0) * _MARGIN
     minutes = max((one.seconds for one in made), default=0) * _MARGIN / 60
-    threads = min(usable_cores(), _MAX_CORES) if command in _SEVERAL_CORES else 1
-    measured = {"mem_mb": round(mib) + 512, "runtime": round(minutes) + 5}
-    return {"threads": threads, **(measured if made else {"mem_mb": _DEFAULT_MIB, "runtime": _DEFAULT_MINUTES})}
+    threads, default = 1, _DEFAULT_MIB_OF_ONE_CORE
+    if command in _SEVERAL_CORES:
+        threads, default = min(cores, _MAX_CORES), _DEFAULT_MIB
+    if not made:
+        return {"threads": threads, "mem_mb": default, "runtime": _DEFAULT_MINUTES}
+    return {"threads": threads, "mem_mb": round(mib) + 512, "runtime": round(minutes) + 5}
 
 
 def _snakemake(folder: Path, cores: int, more: list[str]) -> int:
@@ -254,8 +268,16 @@ def _snakemake(folder: Path, cores: int, more: list[str]) -> int:
         )
     command = [sys.executable, "-P", "-m", "snakemake", "--snakefile", folder / WORKFLOW, "--directory", folder]
     # The campaign's own lock is held, and what a job left undone the stage continues.
+    if _is_local(more):
+        mib = round(_MEMORY_SHARE * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**20)
+        more = ["--resources", f"mem_mb={mib}", *more]
     options = ["--cores", cores, "--keep-going", "--nolock", "--rerun-incomplete", "--rerun-triggers", "mtime"]
     return subprocess.run([*map(str, command + options), "--scheduler", "greedy", "--quiet", "rules", *more]).returncode
+
+
+def _is_local(more: list[str]) -> bool:
+    """Whether Snakemake's options leave the jobs to this machine."""
+    return not any(one.startswith(("-e", "--executor", "--profile", "--workflow-profile")) for one in more)
 
 
 def _refusal(folder: Path, job: Job) -> Path:

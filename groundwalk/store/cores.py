@@ -8,8 +8,10 @@ from pathlib import Path
 
 
 def usable_cores() -> int:
-    """Cores that this process may use; macOS has no affinity to ask."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Cores that this process may use, OMP_NUM_THREADS at most; macOS has no affinity to ask."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    limit = os.environ.get("OMP_NUM_THREADS", "")
+    return min(cores, int(limit)) if limit.isdecimal() and int(limit) else cores
 
 
 def machine() -> str:

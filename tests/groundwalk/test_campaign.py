@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -91,7 +92,7 @@ def test_a_job_that_is_killed_is_run_again_with_more_memory(tmp_path: Path, monk
     ended = subprocess.run([*map(str, command), "--cores", "1"], capture_output=True, text=True)
     said = ended.stdout + ended.stderr
     assert ended.returncode == 0 and (folder / "done" / ONE / "import").exists(), said
-    assert list(dict.fromkeys(re.findall(r"mem_mb=\d+", said))) == ["mem_mb=4096", "mem_mb=8192", "mem_mb=12288"]
+    assert list(dict.fromkeys(re.findall(r"mem_mb=\d+", said))) == ["mem_mb=1024", "mem_mb=2048", "mem_mb=3072"]
 
 
 def test_a_worker_with_another_version_of_groundwalk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,6 +104,19 @@ def test_a_worker_with_another_version_of_groundwalk_is_named(tmp_path: Path, mo
         CliRunner().invoke(import_app, ["--scene", "one", "--data", str(data.root)], catch_exceptions=False)
     details = refused.value.details
     assert (details["expected"], details["found"]) == (other, expected) and platform.node() in str(details["where"])
+
+
+def test_scenes_side_by_side_share_the_cores_of_this_machine_alone(tmp_path: Path) -> None:
+    jobs = [Job(f"scene{number}", "tiny", command) for number in range(3) for command in ("import", "sfm")]
+    jobs.append(Job("alone", "demo", "sfm"))
+
+    def threads(**how: Any) -> dict[str, int]:
+        write_workflow(tmp_path, jobs, {}, DataRoot(tmp_path / "data"), **how)
+        return {kind: of["threads"] for kind, of in json.loads((tmp_path / PLAN).read_text())["resources"].items()}
+
+    assert threads(cores=6) == {"tiny/import": 1, "tiny/sfm": 2, "demo/sfm": 6}
+    assert threads(cores=2) == {"tiny/import": 1, "tiny/sfm": 1, "demo/sfm": 2}
+    assert threads(cores=6, is_local=False) == {"tiny/import": 1, "tiny/sfm": 6, "demo/sfm": 6}
 
 
 def test_flags_of_what_is_outdated_go_and_resources_are_those_of_finished_runs(tmp_path: Path) -> None:
@@ -121,5 +135,5 @@ def test_flags_of_what_is_outdated_go_and_resources_are_those_of_finished_runs(t
     assert not flag.exists()
     resources = json.loads((folder / PLAN).read_text())["resources"]
     assert resources["tiny/sfm"]["mem_mb"] == 5012 and resources["tiny/sfm"]["runtime"] == 20
-    assert resources["tiny/import"]["mem_mb"] == 4096
+    assert resources["tiny/import"]["mem_mb"] == 1024
     assert (write_report(folder, data)["state"] == State.WAITING).all()

@@ -18,7 +18,8 @@ from tests.sfm.synthetic_model import log_of, synthetic_model
 def test_each_part_of_an_image_keeps_its_longest_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracks, "_TRACKS_PER_PART", 2)
     bundle, cameras = walk_of(0)
-    assert longest_tracks(bundle, cameras).sum() >= 20 * len(bundle.sfm_T_cam)  # enough for covariances
+    monkeypatch.setattr(tracks, "_POINTS_PER_FRAME", 18)
+    assert 18 * len(bundle.sfm_T_cam) <= longest_tracks(bundle, cameras).sum() < len(bundle.xyz)
     monkeypatch.setattr(tracks, "_POINTS_PER_FRAME", 0)
     kept = longest_tracks(bundle, cameras)
     assert kept.mean() < 0.7
