@@ -20,7 +20,7 @@ from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import CHANGE, KEY_FILE, link_or_copy, partial_folder, read_json, swap_in, write_json
 from groundwalk.store.hints import run_command
-from groundwalk.store.inputs import capture_files, held
+from groundwalk.store.inputs import capture_files, has_capture_files, held
 from groundwalk.store.locks import locked
 from groundwalk.store.manifests import MANIFEST, listed_files, load_manifest
 from groundwalk.store.outdated import is_up_to_date
@@ -48,7 +48,7 @@ def add(
     A recording that doesn't fit is refused, and then nothing has changed.
     """
     recording = recording.expanduser().resolve()
-    if not recording.exists() or (recording.is_dir() and not capture_files(recording)):
+    if not recording.exists() or (recording.is_dir() and not has_capture_files(recording)):
         raise UserError("the recording isn't there", where=recording, expected="a recording, or a folder of them")
     _change(DataRoot(data), profile, scene, recording, "", refine)
 

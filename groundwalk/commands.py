@@ -18,7 +18,7 @@ from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import STOPPED, link_or_copy, partial_folder, read_json, write_json, written_aside
 from groundwalk.store.hints import view_command
-from groundwalk.store.inputs import capture_files
+from groundwalk.store.inputs import capture_files, has_capture_files
 from groundwalk.store.runs import runs_in
 from groundwalk.store.settings import SHIPPED_DATA, STAGES, DataRoot, is_name
 from groundwalk.store.simulated import are_simulated, marker_of
@@ -129,7 +129,7 @@ def judge(
         captures.mkdir(parents=True, exist_ok=True)
         (captures / folder.name).unlink(missing_ok=True)
         link_or_copy(folder, captures / folder.name)
-    elif capture_files(folder):
+    elif has_capture_files(folder):
         link_folder(root, name, folder)
     else:
         expected = "a folder of phone captures, photos or videos"

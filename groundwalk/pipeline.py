@@ -13,7 +13,7 @@ from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import read_json
 from groundwalk.store.hints import simulate_command
-from groundwalk.store.inputs import capture_files, hashes_of_named, no_captures
+from groundwalk.store.inputs import has_capture_files, hashes_of_named, no_captures
 from groundwalk.store.manifests import MANIFEST
 from groundwalk.store.outdated import is_up_to_date
 from groundwalk.store.progress import console
@@ -59,7 +59,7 @@ def steps(data: DataRoot, profile: str, scene: str, until: str = STAGES[-1]) -> 
         return [*dict.fromkeys(members), *(Step(stage, scene) for stage in wanted if stage in config.stages)]
     # Captures that were simulated for another profile are used as they are, as profiles share captures.
     marker = marker_of(data.captures(scene))
-    may_simulate = marker.get("profile") == profile if marker else not capture_files(data.captures(scene))
+    may_simulate = marker.get("profile") == profile if marker else not has_capture_files(data.captures(scene))
     return [Step(name, scene) for name in (*(["simulate"] if config.can_simulate and may_simulate else []), *wanted)]
 
 
@@ -134,7 +134,7 @@ def check(step: Step, is_simulated: bool, profile: str, data: DataRoot) -> None:
     stage, captures = stage_of(step.command), data.captures(step.scene)
     settings = resolve_settings(stage.settings, step.command, data, profile, step.scene)
     hashes_of_named(stage.files(settings), step.scene, data)
-    if stage.reads_captures and not is_simulated and not capture_files(captures):
+    if stage.reads_captures and not is_simulated and not has_capture_files(captures):
         raise no_captures(step.scene, captures, profile)
 
 

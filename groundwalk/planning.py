@@ -22,7 +22,7 @@ from groundwalk.store import progress
 from groundwalk.store.cli import DataOption, ProfileOption, new_app
 from groundwalk.store.cores import machine
 from groundwalk.store.errors import UserError
-from groundwalk.store.inputs import capture_files
+from groundwalk.store.inputs import has_capture_files
 from groundwalk.store.runs import Finished, finished_stages
 from groundwalk.store.settings import STAGES, DataRoot, resolve_settings
 from groundwalk.store.simulated import marker_of
@@ -129,7 +129,7 @@ def _planned_frames(profile: str, scene: str, data: DataRoot) -> int | None:
     captures = data.captures(scene)
     imported = [_rows(run.folder) for run in finished_stages(data, "import") if run.folder.parent.name == scene]
     mine = _rows(data.run(profile, scene, "import"))
-    if mine or not config.can_simulate or (capture_files(captures) and not marker_of(captures)):
+    if mine or not config.can_simulate or (has_capture_files(captures) and not marker_of(captures)):
         return mine or max(imported, default=None)
     return sum(resolve_settings(SimulateSettings, "simulate", data, profile, scene).images.values())
 

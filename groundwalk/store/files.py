@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -23,6 +24,7 @@ RECORDING = "recording.rrd"
 STOPPED = "stopped.json"
 """In a partial folder: why the stage found no result there, for the report."""
 _digests: dict[tuple[str | int, ...], str] = {}
+_HASHED_APART = 256  # files; of more, several are one task for a thread
 _SETTLED_NS = 2 * 10**9  # the coarsest clock of a file system: what is younger may be written again without a trace
 IMPORTED = "import:"
 """In front of the path of an image that import copied, which is relative to the import artefact."""
@@ -113,8 +115,10 @@ def link_or_copy(source: Path | str, target: Path | str) -> None:
 def hash_files(folder: Path, files: Iterable[Path]) -> dict[str, str]:
     """sha256 of files by their path relative to `folder`."""
     paths = sorted(files)
+    size = 1 + len(paths) // _HASHED_APART  # handing over a small file takes longer than to hash it
+    parts = [paths[first : first + size] for first in range(0, len(paths), size)]
     with ThreadPoolExecutor() as pool:
-        digests = pool.map(sha256_of, paths)
+        digests = chain.from_iterable(pool.map(lambda part: [*map(sha256_of, part)], parts))
         return {path.relative_to(folder).as_posix(): digest for path, digest in zip(paths, digests, strict=True)}
 
 
@@ -129,6 +133,18 @@ def sha256_of(path: Path) -> str:
     if time.time_ns() - max(times) > _SETTLED_NS:
         _digests[state] = digest
     return digest
+
+
+def state_of_files(files: Iterable[Path]) -> str | None:
+    """A digest of names, inodes, sizes and times of files, as long as which is the same nothing was written to them;
+    None while one is so young that it may be written again without a trace."""
+    state, newest = hashlib.sha256(), 0
+    for path in files:
+        status = path.stat()
+        newest = max(newest, status.st_mtime_ns, status.st_ctime_ns)
+        known = (str(path), status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+        state.update(repr(known).encode())
+    return state.hexdigest() if time.time_ns() - newest > _SETTLED_NS else None
 
 
 def partial_folder(final: Path) -> Path:

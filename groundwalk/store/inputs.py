@@ -12,7 +12,7 @@ from typing import Any
 
 from groundwalk.store.definition import Stage
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import hash_files, read_json, sha256_of
+from groundwalk.store.files import hash_files, read_json, sha256_of, state_of_files
 from groundwalk.store.hints import link_command, run_command
 from groundwalk.store.locks import locked
 from groundwalk.store.manifests import MANIFEST, Replaced, load_manifest, load_verified, missing_stage, replaced_input
@@ -23,7 +23,8 @@ from groundwalk.store.simulated import TRUTH_FILES, are_simulated
 @dataclass
 class Inputs:
     """The inputs of one run of a stage with its settings. `hashes`, which go into the stage's key, are there once they
-    are held by `lock`."""
+    are held by `lock`. `captures_state`: with which it hashed captures, `state_of_files`. Where the artefact that is
+    there was made from captures in this state, they aren't read again: a campaign's may be terabytes."""
 
     stage: Stage[Any]
     scene: SceneConfig
@@ -31,6 +32,7 @@ class Inputs:
     data: DataRoot
     settings: Settings
     hashes: dict[str, Any] = field(default_factory=dict)
+    captures_state: str | None = None
 
     def verify(self) -> None:
         """UserError where an input isn't as its stage wrote it, or an image as import saw it."""
@@ -109,9 +111,15 @@ class Inputs:
     def _hash_of_captures(self) -> dict[str, int | str]:
         captures = self.data.captures(self.scene.name)
         # Not links to nothing, or to themselves.
-        hashes = hash_files(captures, (path for path in capture_files(captures) if path.is_file()))
-        if not hashes:
+        files = [path for path in capture_files(captures) if path.is_file()]
+        if not files:
             raise no_captures(self.scene.name, captures, self.profile)
+        self.captures_state = state_of_files(files)
+        made = read_json(self.data.run(self.profile, self.scene.name, self.stage.name) / MANIFEST)
+        known = made.get("inputs", {}).get("captures")
+        if self.captures_state and made.get("captures_state") == self.captures_state and isinstance(known, dict):
+            return known
+        hashes = hash_files(captures, files)
         return {"files": len(hashes), "sha256": hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()}
 
     @cached_property
@@ -197,9 +205,15 @@ def no_captures(scene: str, captures: Path, profile: str) -> UserError:
 
 def capture_files(captures: Path) -> list[Path]:
     """The files of a capture folder that import may read: not those which hold the simulator's truth or notes."""
-    paths: list[Path] = []
+    return [*_walk(captures)]
+
+
+def has_capture_files(captures: Path) -> bool:
+    return any(True for _ in _walk(captures))
+
+
+def _walk(captures: Path) -> Iterator[Path]:
     for base, folders, names in os.walk(captures, followlinks=False):
         folders[:] = sorted(f for f in folders if not f.startswith("."))
         hidden = TRUTH_FILES if Path(base) == captures else ()
-        paths += [Path(base, name) for name in sorted(names) if not name.startswith(".") and name not in hidden]
-    return paths
+        yield from (Path(base, name) for name in sorted(names) if not name.startswith(".") and name not in hidden)

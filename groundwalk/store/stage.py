@@ -233,6 +233,8 @@ def execute(
             raise
         shutil.rmtree(work / _SCRATCH, ignore_errors=True)
         circumstances = _circumstances(run, elapsed, resumed, memory)
+        if inputs.captures_state:
+            circumstances["captures_state"] = inputs.captures_state
         write_json(work / MANIFEST, {"key": job.key, **job.parts, **circumstances, "outputs": output_hashes(work)})
         swap_in(work, final, listed_files)
         shown = final.relative_to(Path.cwd()) if final.is_relative_to(Path.cwd()) else final

@@ -10,12 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from groundwalk.store import DataRoot, Settings, Stage, StageRun, UserError, execute
+from groundwalk.store import DataRoot, Settings, Stage, StageRun, UserError, execute, files, inputs
 from groundwalk.store.__main__ import link_folder
 from groundwalk.store.cleaning import clean_scene
-from groundwalk.store.files import sha256_of
+from groundwalk.store.files import hash_files, sha256_of
 from groundwalk.store.locks import locked
 from groundwalk.store.manifests import load_manifest
+from groundwalk.store.outdated import is_up_to_date
 from tests.known import filled
 
 
@@ -156,6 +157,34 @@ def replaced(path: Path) -> None:
     path.unlink()
     path.write_bytes(bytes(255 - byte for byte in content))
     os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+
+def test_captures_that_nothing_was_written_to_are_not_read_again(
+    data: DataRoot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame = data.captures("place") / "walk" / "frame.json"
+    folder = run(data, IMPORT)
+    assert "captures_state" not in load_manifest(folder)  # so young that it may be written again without a trace
+    monkeypatch.setattr(files, "_SETTLED_NS", -(10**9))
+    run(data, IMPORT, "text=b")
+    read = list[Path]()
+
+    def hashed(folder: Path, paths: list[Path]) -> dict[str, str]:
+        read.extend(paths)
+        return hash_files(folder, paths)
+
+    monkeypatch.setattr(inputs, "hash_files", hashed)
+    assert is_up_to_date(IMPORT, "place", "own", data) is False and not read  # by its settings alone
+    run(data, IMPORT)
+    read.clear()
+    assert is_up_to_date(IMPORT, "place", "own", data) and not read
+    os.utime(frame)
+    assert is_up_to_date(IMPORT, "place", "own", data) and frame in read
+    replaced(frame)
+    assert not is_up_to_date(IMPORT, "place", "own", data)
+    run(data, IMPORT)
+    (frame.parent / "more.json").write_text("{}")
+    assert not is_up_to_date(IMPORT, "place", "own", data)
 
 
 @pytest.mark.parametrize("file", ["captures/place/walk/frame.json", "runs/own/place/import/weights/one.bin", "named"])
