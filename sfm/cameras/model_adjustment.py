@@ -39,7 +39,7 @@ from groundwalk.sfm.cameras.lenses import (
     prior_lenses,
 )
 from groundwalk.sfm.cameras.motion import Motion, motion_by_vio, offset_of_frames
-from groundwalk.sfm.cameras.tracks import longest_tracks, of_points, placed
+from groundwalk.sfm.cameras.tracks import chosen_tracks, of_points, placed
 from groundwalk.sfm.database import Ints, image_id, pose_of
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import CameraOrigin
@@ -155,7 +155,7 @@ def adjust_model(
         raise LinAlgError("hardly any frame has enough observations for a pose")
     rows, point_ids, bundle, features = _bundle_of(model, keypoints, held)
     cameras, priors = _cameras_of(rows, bundle, log, settings)
-    adjusted, whole, _ = _adjust_longest(bundle, cameras, priors, rough=True)
+    adjusted, whole, _ = _adjust_chosen(bundle, cameras, priors, rough=True)
     _write_back(model, rows, point_ids, whole, adjusted.cameras, features)
     residual = project(whole, adjusted.cameras) - bundle.observed_px
     outliers = np.linalg.norm(residual, axis=1) > _OUTLIER_SIGMAS * np.sqrt(loss_variance(adjusted.loss_px))
@@ -173,7 +173,7 @@ def adjust_model(
         learned = with_likeliest_sds(adjusted)
         lenses = [log.lenses.priors[k] for k in np.unique(log.lenses.lens[rows])]
         learned = replace(learned, lens_covariance=learned.lens_covariance + np.array([*map(_doubt, lenses)]))
-    adjusted, whole, is_adjusted = _adjust_longest(bundle, adjusted.cameras, priors)
+    adjusted, whole, is_adjusted = _adjust_chosen(bundle, adjusted.cameras, priors)
     _write_back(model, rows, point_ids, whole, adjusted.cameras, features)
     observations.filter_observations_with_negative_depth()
     model.update_point_3d_errors()
@@ -184,14 +184,14 @@ def adjust_model(
     return replace(adjusted, bundle=of_points(left, is_adjusted), priors=learned, noise=noise), rows
 
 
-def _adjust_longest(
+def _adjust_chosen(
     bundle: Bundle, cameras: Cameras, priors: CameraPriors, *, rough: bool = False
 ) -> tuple[Adjusted, Bundle, NDArray[np.bool_]]:
-    """The adjusted bundle, of a large model that of its longest tracks; the bundle with all points after that; and
+    """The adjusted bundle, of a large model that of some tracks; the bundle with all points after that; and
     which of them (P,) were adjusted."""
     kept = np.ones(len(bundle.xyz), bool)
     if is_large(len(bundle.sfm_T_cam) - len(bundle.held_frames)):
-        kept = longest_tracks(bundle, cameras)
+        kept = chosen_tracks(bundle, cameras)
     adjusted = adjust(of_points(bundle, kept), cameras, priors, rough=rough)
     if not rough:
         adjusted = marginal_readout(adjusted)

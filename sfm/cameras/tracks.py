@@ -1,7 +1,7 @@
 """Of a large model: the tracks that are adjusted with its cameras, and the points of the others after that.
 
-Time and memory of an adjustment go by its observations, and hundreds in a frame say little more than a few dozen that
-are all over its image and reach far (COLMAP's global mapper and its adjustment leave out tracks likewise).
+Time and memory of an adjustment go by its observations, and a thousand in a frame say little more than some hundred all
+over its image. COLMAP's mappers thin tracks out, too.
 """
 
 from dataclasses import replace
@@ -14,28 +14,29 @@ from groundwalk.geometry.robust import cauchy_weights
 from groundwalk.geometry.rows import summed
 from groundwalk.sfm.cameras.adjustment import Bundle, Cameras, linearize, loss_of
 
-# An image's parts, along each side, and the tracks that are kept for each; more of them where there would be fewer
-# points than this for a frame, by whose scatter covariances are known.
-_PARTS, _TRACKS_PER_PART, _POINTS_PER_FRAME = 4, 8, 20
+# An image's parts, along each side, and the tracks that are kept for each; and the points that are kept for a frame at
+# least, by whose scatter covariances are known.
+_PARTS, _TRACKS_PER_PART, _POINTS_PER_FRAME = 4, 8, 16
 _STEPS = 6
 _POINTS_AT_ONCE = 20_000
 
 
-def longest_tracks(bundle: Bundle, cameras: Cameras) -> NDArray[np.bool_]:
-    """Which points (P,) are among the longest tracks in a sixteenth of any of their images, as many of each as it takes
-    for enough points."""
+def chosen_tracks(bundle: Bundle, cameras: Cameras) -> NDArray[np.bool_]:
+    """Which points (P,) are adjusted: so many as they come in random order, and more where a sixteenth of an image has
+    too few of them."""
     share = bundle.observed_px / (2 * cameras.intrinsics[bundle.frame, 2:])
     column, row = np.clip(_PARTS * share, 0, _PARTS - 1).astype(np.int64).T
     part = (bundle.frame * _PARTS + row) * _PARTS + column
-    length = np.bincount(bundle.point, minlength=len(bundle.xyz))[bundle.point]
-    order = np.lexsort((bundle.point, -length, part))
-    starts = np.concatenate([[0], np.cumsum(np.bincount(part))])
-    rank = np.arange(len(part)) - starts[part[order]]
-    # Of each point, in the part where it comes first.
-    best = np.full(len(bundle.xyz), len(part))
-    np.minimum.at(best, bundle.point[order], rank)
-    enough = np.sort(best)[: _POINTS_PER_FRAME * len(bundle.sfm_T_cam)]
-    return best < max(_TRACKS_PER_PART, int(enough.max(initial=0)) + 1)
+    points, enough = len(bundle.xyz), _POINTS_PER_FRAME * len(bundle.sfm_T_cam)
+    order = np.argsort(bundle.point, kind="stable")
+    parts_of = np.split(part[order], np.searchsorted(bundle.point[order], np.arange(1, points)))
+    kept, count = np.zeros(points, bool), np.zeros(int(part.max(initial=0)) + 1, np.int64)
+    for number, point in enumerate(np.random.default_rng(0).permutation(points).tolist()):
+        parts = parts_of[point]
+        if number < enough or (count[parts] < _TRACKS_PER_PART).any():
+            kept[point] = True
+            count[parts] += 1
+    return kept
 
 
 def of_points(bundle: Bundle, kept: NDArray[np.bool_]) -> Bundle:
