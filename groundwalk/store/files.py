@@ -24,7 +24,7 @@ RECORDING = "recording.rrd"
 STOPPED = "stopped.json"
 """In a partial folder: why the stage found no result there, for the report."""
 _digests: dict[tuple[str | int, ...], str] = {}
-_HASHED_APART = 256  # files; of more, several are one task for a thread
+_HASHED_AT_ONCE, _HASHED_APART = 1 << 24, 256  # bytes without threads; files, of more several are a thread's task
 _SETTLED_NS = 2 * 10**9  # the coarsest clock of a file system: what is younger may be written again without a trace
 IMPORTED = "import:"
 """In front of the path of an image that import copied, which is relative to the import artefact."""
@@ -115,7 +115,10 @@ def link_or_copy(source: Path | str, target: Path | str) -> None:
 def hash_files(folder: Path, files: Iterable[Path]) -> dict[str, str]:
     """sha256 of files by their path relative to `folder`."""
     paths = sorted(files)
-    size = 1 + len(paths) // _HASHED_APART  # handing over a small file takes longer than to hash it
+    # To start threads and hand a small file over takes longer than to hash it.
+    if sum(path.stat().st_size for path in paths) < _HASHED_AT_ONCE:
+        return {path.relative_to(folder).as_posix(): sha256_of(path) for path in paths}
+    size = 1 + len(paths) // _HASHED_APART
     parts = [paths[first : first + size] for first in range(0, len(paths), size)]
     with ThreadPoolExecutor() as pool:
         digests = chain.from_iterable(pool.map(lambda part: [*map(sha256_of, part)], parts))
@@ -135,14 +138,17 @@ def sha256_of(path: Path) -> str:
     return digest
 
 
-def state_of_files(files: Iterable[Path]) -> str | None:
+def state_of_files(files: Iterable[str]) -> str | None:
     """A digest of names, inodes, sizes and times of files, as long as which is the same nothing was written to them;
-    None while one is so young that it may be written again without a trace."""
+    None while one is so young that it may be written again without a trace, and where one can't be read."""
     state, newest = hashlib.sha256(), 0
     for path in files:
-        status = path.stat()
+        try:
+            status = os.stat(path)  # noqa: PTH116 - a Path takes four times as long
+        except OSError:
+            return None
         newest = max(newest, status.st_mtime_ns, status.st_ctime_ns)
-        known = (str(path), status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+        known = (path, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
         state.update(repr(known).encode())
     return state.hexdigest() if time.time_ns() - newest > _SETTLED_NS else None
 

@@ -110,16 +110,15 @@ class Inputs:
 
     def _hash_of_captures(self) -> dict[str, int | str]:
         captures = self.data.captures(self.scene.name)
-        # Not links to nothing, or to themselves.
-        files = [path for path in capture_files(captures) if path.is_file()]
-        if not files:
-            raise no_captures(self.scene.name, captures, self.profile)
-        self.captures_state = state_of_files(files)
+        self.captures_state = state_of_files(_walk(captures))
         made = read_json(self.data.run(self.profile, self.scene.name, self.stage.name) / MANIFEST)
         known = made.get("inputs", {}).get("captures")
         if self.captures_state and made.get("captures_state") == self.captures_state and isinstance(known, dict):
             return known
-        hashes = hash_files(captures, files)
+        # Not links to nothing, or to themselves.
+        hashes = hash_files(captures, (path for path in capture_files(captures) if path.is_file()))
+        if not hashes:
+            raise no_captures(self.scene.name, captures, self.profile)
         return {"files": len(hashes), "sha256": hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()}
 
     @cached_property
@@ -205,15 +204,15 @@ def no_captures(scene: str, captures: Path, profile: str) -> UserError:
 
 def capture_files(captures: Path) -> list[Path]:
     """The files of a capture folder that import may read: not those which hold the simulator's truth or notes."""
-    return [*_walk(captures)]
+    return [*map(Path, _walk(captures))]
 
 
 def has_capture_files(captures: Path) -> bool:
     return any(True for _ in _walk(captures))
 
 
-def _walk(captures: Path) -> Iterator[Path]:
+def _walk(captures: Path) -> Iterator[str]:
     for base, folders, names in os.walk(captures, followlinks=False):
         folders[:] = sorted(f for f in folders if not f.startswith("."))
         hidden = TRUTH_FILES if Path(base) == captures else ()
-        yield from (Path(base, name) for name in sorted(names) if not name.startswith(".") and name not in hidden)
+        yield from (f"{base}/{name}" for name in sorted(names) if not name.startswith(".") and name not in hidden)

@@ -4,7 +4,7 @@ import errno
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -169,9 +169,10 @@ def test_captures_that_nothing_was_written_to_are_not_read_again(
     run(data, IMPORT, "text=b")
     read = list[Path]()
 
-    def hashed(folder: Path, paths: list[Path]) -> dict[str, str]:
-        read.extend(paths)
-        return hash_files(folder, paths)
+    def hashed(folder: Path, paths: Iterable[Path]) -> dict[str, str]:
+        known = [*paths]
+        read.extend(known)
+        return hash_files(folder, known)
 
     monkeypatch.setattr(inputs, "hash_files", hashed)
     assert is_up_to_date(IMPORT, "place", "own", data) is False and not read  # by its settings alone
