@@ -3,7 +3,7 @@ extraction and matching."""
 
 import contextlib
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -161,10 +161,13 @@ def _opened(source: Path, target: Path) -> Iterator[tuple[pycolmap.Database, pyc
         yield old, new, {old_id: new_id for old_id, new_id in ids.items() if new_id is not None}
 
 
-def read_descriptors(path: Path, count: int) -> list[NDArray[np.uint8]]:
-    """SIFT's descriptors (M, 128) of each of the `count` frames."""
+@contextlib.contextmanager
+def descriptors_of(path: Path, count: int) -> Iterator[tuple[Callable[[int], NDArray[np.uint8]], Ints]]:
+    """What reads SIFT's descriptors (M, 128) of a frame by its row, as those of thousands of frames take gigabytes, and
+    how many each of the `count` frames has."""
     with pycolmap.Database.open(path) as database:
-        return [database.read_descriptors(image_id(row)).data for row in range(count)]
+        counts = np.array([database.num_descriptors_for_image(image_id(row)) for row in range(count)])
+        yield (lambda row: database.read_descriptors(image_id(row)).data), counts
 
 
 def read_keypoints(path: Path, count: int) -> list[Array]:

@@ -5,7 +5,7 @@ Images are similar by VLAD (Jégou et al., "Aggregating local descriptors into a
 from the scene's own features.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from groundwalk.geometry.vlad import aggregate, k_means
-from groundwalk.sfm.database import read_descriptors
+from groundwalk.sfm.database import descriptors_of
 from groundwalk.sfm.pairs import candidates
 from groundwalk.sfm.pairs.candidates import Pairs, unique_pairs
 from groundwalk.sfm.pairs.odometry import Odometry, drift_between
@@ -69,7 +69,8 @@ def pairs_by_images(settings: SfmSettings, vio: Odometry, known: Proposals, data
         proposals.append((PairOrigin.EXHAUSTIVE, free[np.stack(np.triu_indices(len(free), 1), axis=1)]))
     across = len(set(vio.session)) > 1 and not (is_few and len(free) == len(vio.session))
     if settings.retrieval_pairs and (across or not is_few):
-        described = vlad(read_descriptors(database, len(vio.session)), seed)
+        with descriptors_of(database, len(vio.session)) as (read, counts):
+            described = vlad(read, counts, seed)
         if not is_few:
             tried = np.concatenate([pairs for _, pairs in known])
             place = np.full(len(vio.recording), -1)
@@ -96,15 +97,17 @@ def _may_overlap(settings: SfmSettings, vio: Odometry, pairs: Pairs) -> NDArray[
     return candidates.within_vio_limits(pairs, vio.session, vio.vio_T_cam, max_m, max_deg)
 
 
-def vlad(descriptors: Sequence[NDArray[np.uint8]], seed: int) -> NDArray[np.float32]:
-    """Unit image descriptors (N, words * D) of N images, each with local descriptors (M, D); zero where M is 0, which
-    it isn't of all."""
+def vlad(read: Callable[[int], NDArray[np.uint8]], counts: ArrayLike, seed: int) -> NDArray[np.float32]:
+    """Unit image descriptors (N, words * D) of N images, each of whose `counts` (N,) local descriptors (M, D) `read`
+    gives; zero where that is 0, which it isn't of all."""
     rng = np.random.default_rng(seed)
-    everything = np.concatenate([d for d in descriptors if len(d)])
-    sample = np.sort(rng.permutation(len(everything))[: _WORDS * _SAMPLES_PER_WORD])
-    centres = k_means(_unit(everything[sample]), _WORDS, rng)
+    ends = np.cumsum(counts)
+    sample = np.sort(rng.permutation(ends[-1])[: _WORDS * _SAMPLES_PER_WORD])
+    image = np.searchsorted(ends, sample, side="right")
+    within = sample - np.concatenate([[0], ends])[image]
+    centres = k_means(_unit(np.concatenate([read(i)[within[image == i]] for i in np.unique(image)])), _WORDS, rng)
     nothing = np.zeros(centres.size, np.float32)
-    return np.stack([aggregate(_unit(d), centres) if len(d) else nothing for d in descriptors])
+    return np.stack([aggregate(_unit(read(i)), centres) if n else nothing for i, n in enumerate(np.asarray(counts))])
 
 
 def retrieval_pairs(

@@ -119,9 +119,13 @@ def _descriptors(seed: int) -> tuple[list[np.ndarray], np.ndarray]:
     return images, np.repeat([0, 1], _STREET_FRAMES)
 
 
+def _vlad(images: list[np.ndarray], seed: int) -> np.ndarray:
+    return vlad(images.__getitem__, [*map(len, images)], seed)
+
+
 def test_the_most_similar_frames_of_the_other_walk_are_those_of_the_same_place() -> None:
     images, session = _descriptors(0)
-    pairs = retrieval_pairs(vlad(images, 0), session, 3)
+    pairs = retrieval_pairs(_vlad(images, 0), session, 3)
     assert (session[pairs[:, 0]] != session[pairs[:, 1]]).all()
     assert np.array_equal(pairs, np.unique(pairs, axis=0))
     assert len(pairs) <= 3 * len(images)
@@ -133,7 +137,7 @@ def test_the_most_similar_frames_of_the_other_walk_are_those_of_the_same_place()
 def test_same_seed_same_descriptors_and_an_image_without_features_is_no_obstacle() -> None:
     images, session = _descriptors(1)
     images[3] = np.empty((0, 0), np.uint8)
-    once, again = vlad(images, 5), vlad(images, 5)
+    once, again = _vlad(images, 5), _vlad(images, 5)
     assert np.array_equal(once, again)
     assert np.isfinite(once).all()
     assert np.allclose(np.delete(np.linalg.norm(once, axis=1), 3), 1, atol=1e-5)
