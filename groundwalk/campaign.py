@@ -277,7 +277,8 @@ def _snakemake(folder: Path, cores: int, more: list[str]) -> int:
 
 def _is_local(more: list[str]) -> bool:
     """Whether Snakemake's options leave the jobs to this machine."""
-    return not any(one.startswith(("-e", "--executor", "--profile", "--workflow-profile")) for one in more)
+    elsewhere = ("-e", "--executor", "--profile", "--workflow-profile")
+    return "SNAKEMAKE_PROFILE" not in os.environ and not any(one.startswith(elsewhere) for one in more)
 
 
 def _refusal(folder: Path, job: Job) -> Path:

@@ -22,8 +22,8 @@ _POINTS_AT_ONCE = 20_000
 
 
 def chosen_tracks(bundle: Bundle, cameras: Cameras) -> NDArray[np.bool_]:
-    """Which points (P,) are adjusted: so many as they come in random order, and more where a sixteenth of an image has
-    too few of them."""
+    """Which points (P,) are adjusted: so many for each frame, drawn at random, and more where a sixteenth of an image
+    has too few of them."""
     share = bundle.observed_px / (2 * cameras.intrinsics[bundle.frame, 2:])
     column, row = np.clip(_PARTS * share, 0, _PARTS - 1).astype(np.int64).T
     part = (bundle.frame * _PARTS + row) * _PARTS + column
