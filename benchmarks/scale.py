@@ -73,7 +73,7 @@ def _percent(share: float | None) -> str:
 def _table(rows: pd.DataFrame) -> Iterable[list[str]]:
     yield [
         *("frames", "with ground truth", "A, B, C", "models", "position cm: median, p95", "rotation deg"),
-        *("inside 95 % bounds", *(f"{stage} s (processor), MiB" for stage in _MODULES), "load"),
+        *("inside 95 % bounds", *(f"{stage} s (processor), MiB" for stage in _MODULES), "load", "revision"),
     ]
     for row in rows.to_dict("records"):
         yield [
@@ -85,7 +85,7 @@ def _table(rows: pd.DataFrame) -> Iterable[list[str]]:
             f"{row['rotation error, median']:.3f}",
             _percent(row.get("position within 95 % bounds, whole")),
             *(f"{row[f'{s} s']:.0f} ({row[f'{s} cpu s']:.0f}), {row[f'{s} MiB']:.0f}" for s in _MODULES),
-            f"{row['load']:.1f}",
+            *(f"{row['load']:.1f}", row["revision"]),
         ]
 
 
