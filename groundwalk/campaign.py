@@ -39,8 +39,8 @@ app = new_app("Many scenes.")
 PLAN, WORKFLOW, TABLE, PAGE = "plan.json", "Snakefile", "campaign.parquet", "campaign.html"
 _COLUMNS = ("scene", "captures", "profile", "until")
 _ATTEMPTS = 3  # each with so many times the memory and time of the first
-# Where no finished run says what a stage takes, of several cores or of one; of one that does, so many times as much.
-_DEFAULT_MIB, _DEFAULT_MIB_OF_ONE_CORE, _DEFAULT_MINUTES, _MARGIN = 4096, 1024, 60, 1.5
+# Where no finished run says what a stage takes; of one that does, so many times as much.
+_DEFAULT_MIB, _DEFAULT_MINUTES, _MARGIN = 4096, 60, 1.5
 _MEMORY_SHARE = 0.9  # of this machine's, for jobs that run here
 # Another node, or more memory, may do: words of errors that a stage ends with as it does with refusals.
 _MACHINES = (
@@ -253,12 +253,9 @@ def _resources(profile: str, command: str, data: DataRoot, cores: int) -> dict[s
     made = finished_stages(data, command, profile)
     mib = max((one.mib for one in made), default=0) * _MARGIN
     minutes = max((one.seconds for one in made), default=0) * _MARGIN / 60
-    threads, default = 1, _DEFAULT_MIB_OF_ONE_CORE
-    if command in _SEVERAL_CORES:
-        threads, default = min(cores, _MAX_CORES), _DEFAULT_MIB
-    if not made:
-        return {"threads": threads, "mem_mb": default, "runtime": _DEFAULT_MINUTES}
-    return {"threads": threads, "mem_mb": round(mib) + 512, "runtime": round(minutes) + 5}
+    threads = min(cores, _MAX_CORES) if command in _SEVERAL_CORES else 1
+    measured = {"mem_mb": round(mib) + 512, "runtime": round(minutes) + 5}
+    return {"threads": threads, **(measured if made else {"mem_mb": _DEFAULT_MIB, "runtime": _DEFAULT_MINUTES})}
 
 
 def _snakemake(folder: Path, cores: int, more: list[str]) -> int:
@@ -267,10 +264,10 @@ def _snakemake(folder: Path, cores: int, more: list[str]) -> int:
             "Snakemake, which runs campaigns, isn't installed", do="install groundwalk with its extra: [campaign]"
         )
     command = [sys.executable, "-P", "-m", "snakemake", "--snakefile", folder / WORKFLOW, "--directory", folder]
-    # The campaign's own lock is held, and what a job left undone the stage continues.
     if _is_local(more):
         mib = round(_MEMORY_SHARE * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**20)
         more = ["--resources", f"mem_mb={mib}", *more]
+    # The campaign's own lock is held, and what a job left undone the stage continues.
     options = ["--cores", cores, "--keep-going", "--nolock", "--rerun-incomplete", "--rerun-triggers", "mtime"]
     return subprocess.run([*map(str, command + options), "--scheduler", "greedy", "--quiet", "rules", *more]).returncode
 

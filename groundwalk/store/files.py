@@ -10,7 +10,6 @@ import tempfile
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -24,7 +23,7 @@ RECORDING = "recording.rrd"
 STOPPED = "stopped.json"
 """In a partial folder: why the stage found no result there, for the report."""
 _digests: dict[tuple[str | int, ...], str] = {}
-_HASHED_AT_ONCE, _HASHED_APART = 1 << 24, 256  # bytes without threads; files, of more several are a thread's task
+_WITHOUT_THREADS = 1 << 24  # bytes that are hashed in less time than threads take to start
 _SETTLED_NS = 2 * 10**9  # the coarsest clock of a file system: what is younger may be written again without a trace
 IMPORTED = "import:"
 """In front of the path of an image that import copied, which is relative to the import artefact."""
@@ -115,13 +114,10 @@ def link_or_copy(source: Path | str, target: Path | str) -> None:
 def hash_files(folder: Path, files: Iterable[Path]) -> dict[str, str]:
     """sha256 of files by their path relative to `folder`."""
     paths = sorted(files)
-    # To start threads and hand a small file over takes longer than to hash it.
-    if sum(path.stat().st_size for path in paths) < _HASHED_AT_ONCE:
+    if sum(path.stat().st_size for path in paths) < _WITHOUT_THREADS:
         return {path.relative_to(folder).as_posix(): sha256_of(path) for path in paths}
-    size = 1 + len(paths) // _HASHED_APART
-    parts = [paths[first : first + size] for first in range(0, len(paths), size)]
     with ThreadPoolExecutor() as pool:
-        digests = chain.from_iterable(pool.map(lambda part: [*map(sha256_of, part)], parts))
+        digests = pool.map(sha256_of, paths)
         return {path.relative_to(folder).as_posix(): digest for path, digest in zip(paths, digests, strict=True)}
 
 
@@ -130,10 +126,9 @@ def sha256_of(path: Path) -> str:
     since, by its inode, size and times."""
     with path.open("rb") as file:
         status = os.fstat(file.fileno())
-        times = (status.st_mtime_ns, status.st_ctime_ns)
-        state = (str(path), status.st_dev, status.st_ino, status.st_size, *times)
+        state = (status.st_dev, *_state(str(path), status))
         digest = _digests.get(state) or hashlib.file_digest(file, "sha256").hexdigest()
-    if time.time_ns() - max(times) > _SETTLED_NS:
+    if _is_settled(status):
         _digests[state] = digest
     return digest
 
@@ -141,16 +136,24 @@ def sha256_of(path: Path) -> str:
 def state_of_files(files: Iterable[str]) -> str | None:
     """A digest of names, inodes, sizes and times of files, as long as which is the same nothing was written to them;
     None while one is so young that it may be written again without a trace, and where one can't be read."""
-    state, newest = hashlib.sha256(), 0
+    state, are_settled = hashlib.sha256(), True
     for path in files:
         try:
             status = os.stat(path)  # noqa: PTH116 - a Path takes four times as long
         except OSError:
             return None
-        newest = max(newest, status.st_mtime_ns, status.st_ctime_ns)
-        known = (path, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-        state.update(repr(known).encode())
-    return state.hexdigest() if time.time_ns() - newest > _SETTLED_NS else None
+        are_settled &= _is_settled(status)
+        state.update(repr(_state(path, status)).encode())
+    return state.hexdigest() if are_settled else None
+
+
+def _state(path: str, status: os.stat_result) -> tuple[str | int, ...]:
+    return (path, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+
+
+def _is_settled(status: os.stat_result) -> bool:
+    """Whether another content would show in the file's times."""
+    return time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS
 
 
 def partial_folder(final: Path) -> Path:

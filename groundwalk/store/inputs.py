@@ -208,6 +208,7 @@ def capture_files(captures: Path) -> list[Path]:
 
 
 def has_capture_files(captures: Path) -> bool:
+    """Whether there are any `capture_files`."""
     return any(True for _ in _walk(captures))
 
 

@@ -39,7 +39,7 @@ from groundwalk.sfm.cameras.lenses import (
     prior_lenses,
 )
 from groundwalk.sfm.cameras.motion import Motion, motion_by_vio, offset_of_frames
-from groundwalk.sfm.cameras.tracks import chosen_tracks, of_points, placed
+from groundwalk.sfm.cameras.tracks import chosen_tracks, of_points, triangulated
 from groundwalk.sfm.database import Ints, image_id, pose_of
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.choices import CameraOrigin
@@ -197,7 +197,7 @@ def _adjust_chosen(
         adjusted = marginal_readout(adjusted)
     whole = replace(bundle, sfm_T_cam=adjusted.bundle.sfm_T_cam, xyz=bundle.xyz.copy())
     whole.xyz[kept] = adjusted.bundle.xyz
-    whole.xyz[~kept] = placed(of_points(whole, ~kept), adjusted.cameras, adjusted.loss_px)
+    whole.xyz[~kept] = triangulated(of_points(whole, ~kept), adjusted.cameras, adjusted.loss_px)
     return adjusted, whole, kept
 
 

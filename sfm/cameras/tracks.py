@@ -1,4 +1,4 @@
-"""Of a large model: the tracks that are adjusted with its cameras, and the points of the others after that.
+"""Of a large model: the tracks that are adjusted with its cameras, and the others, triangulated again after that.
 
 Time and memory of an adjustment go by its observations, and a thousand in a frame say little more than some hundred all
 over its image. COLMAP's mappers thin tracks out, too.
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.robust import cauchy_weights
 from groundwalk.geometry.rows import summed
-from groundwalk.sfm.cameras.adjustment import Bundle, Cameras, linearize, loss_of
+from groundwalk.sfm.cameras.adjustment import Bundle, Cameras, linearize, loss_of, outer
 
 # An image's parts, along each side, and the tracks that are kept for each; and the points that are kept for a frame at
 # least, by whose scatter covariances are known.
@@ -53,22 +53,15 @@ def of_points(bundle: Bundle, kept: NDArray[np.bool_]) -> Bundle:
     )
 
 
-def placed(bundle: Bundle, cameras: Cameras, loss_px: float) -> Array:
-    """The points (P, 3) where their observations have them if all cameras are right: Gauss-Newton on a Cauchy loss, of
-    each point the best of some steps. `loss_px` is its width in the end."""
-    xyz = bundle.xyz.copy()
-    order = np.argsort(bundle.point, kind="stable")
-    bounds = np.searchsorted(bundle.point[order], np.arange(0, len(xyz) + _POINTS_AT_ONCE, _POINTS_AT_ONCE))
-    for number, first in enumerate(range(0, len(xyz), _POINTS_AT_ONCE)):
-        own = order[bounds[number] : bounds[number + 1]]
-        part = replace(
-            bundle,
-            xyz=xyz[first : first + _POINTS_AT_ONCE],
-            frame=bundle.frame[own],
-            point=bundle.point[own] - first,
-            observed_px=bundle.observed_px[own],
-            held_points=np.empty(0, np.int64),
-        )
+def triangulated(bundle: Bundle, cameras: Cameras, loss_px: float) -> Array:
+    """The points (P, 3) by their observations and cameras that stay: Gauss-Newton on a Cauchy loss from where they are,
+    of each point the best of some steps. `loss_px` is its width in the end. Held points stay, too."""
+    xyz, is_held = bundle.xyz.copy(), np.zeros(len(bundle.xyz), bool)
+    is_held[bundle.held_points] = True
+    number = np.arange(len(xyz))
+    for first in range(0, len(xyz), _POINTS_AT_ONCE):
+        chosen = (number >= first) & (number < first + _POINTS_AT_ONCE) & ~is_held
+        part = of_points(bundle, chosen)
         points, best = len(part.xyz), part.xyz.copy()
         lowest = np.full(points, np.inf)
         for _ in range(_STEPS):
@@ -78,10 +71,9 @@ def placed(bundle: Bundle, cameras: Cameras, loss_px: float) -> Array:
             is_better = cost < lowest
             best[is_better], lowest[is_better] = part.xyz[is_better], cost[is_better]
             weighted = cauchy_weights(linear.residual, loss_of(linear.residual))[:, None, None] * linear.by_point
-            blocks = summed(np.swapaxes(weighted, 1, 2) @ linear.by_point, part.point, points)
+            blocks = summed(outer(weighted, linear.by_point), part.point, points)
             blocks += 1e-9 * np.trace(blocks, axis1=1, axis2=2)[:, None, None] * np.eye(3)
             pull = summed(np.einsum("mij,mi->mj", weighted, linear.residual), part.point, points)
             part = replace(part, xyz=part.xyz - np.linalg.solve(blocks, pull[:, :, None])[:, :, 0])
-        xyz[first : first + points] = best
-    xyz[bundle.held_points] = bundle.xyz[bundle.held_points]
+        xyz[chosen] = best
     return xyz

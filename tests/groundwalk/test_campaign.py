@@ -92,7 +92,7 @@ def test_a_job_that_is_killed_is_run_again_with_more_memory(tmp_path: Path, monk
     ended = subprocess.run([*map(str, command), "--cores", "1"], capture_output=True, text=True)
     said = ended.stdout + ended.stderr
     assert ended.returncode == 0 and (folder / "done" / ONE / "import").exists(), said
-    assert list(dict.fromkeys(re.findall(r"mem_mb=\d+", said))) == ["mem_mb=1024", "mem_mb=2048", "mem_mb=3072"]
+    assert list(dict.fromkeys(re.findall(r"mem_mb=\d+", said))) == ["mem_mb=4096", "mem_mb=8192", "mem_mb=12288"]
 
 
 def test_a_worker_with_another_version_of_groundwalk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,5 +135,5 @@ def test_flags_of_what_is_outdated_go_and_resources_are_those_of_finished_runs(t
     assert not flag.exists()
     resources = json.loads((folder / PLAN).read_text())["resources"]
     assert resources["tiny/sfm"]["mem_mb"] == 5012 and resources["tiny/sfm"]["runtime"] == 20
-    assert resources["tiny/import"]["mem_mb"] == 1024
+    assert resources["tiny/import"]["mem_mb"] == 4096
     assert (write_report(folder, data)["state"] == State.WAITING).all()

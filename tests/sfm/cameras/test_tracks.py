@@ -8,7 +8,7 @@ import pytest
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.sfm.cameras import model_adjustment, tracks
 from groundwalk.sfm.cameras.model_adjustment import adjust_model
-from groundwalk.sfm.cameras.tracks import chosen_tracks, of_points, placed
+from groundwalk.sfm.cameras.tracks import chosen_tracks, of_points, triangulated
 from groundwalk.sfm.database import pose_of
 from groundwalk.sfm.settings import SfmSettings
 from tests.sfm.cameras.test_adjustment import walk_of
@@ -35,7 +35,7 @@ def test_points_that_were_moved_go_back_to_where_their_observations_have_them() 
     rng = np.random.default_rng(1)
     held = replace(bundle, held_points=np.array([3]))
     moved = replace(held, xyz=bundle.xyz + 0.2 * rng.normal(size=bundle.xyz.shape))
-    found = placed(moved, cameras, 0.1)
+    found = triangulated(moved, cameras, 0.1)
     assert np.abs(np.delete(found - bundle.xyz, 3, axis=0)).max() < 1e-6
     assert (found[3] == moved.xyz[3]).all()
     noisy = replace(moved, observed_px=bundle.observed_px + 0.2 * rng.normal(size=bundle.observed_px.shape))
@@ -43,9 +43,9 @@ def test_points_that_were_moved_go_back_to_where_their_observations_have_them() 
     noisy.observed_px[np.flatnonzero(bundle.point == outlier)[0]] += 40
     without = of_points(noisy, np.arange(len(bundle.xyz)) == outlier)
     without = replace(without, frame=without.frame[1:], point=without.point[1:], observed_px=without.observed_px[1:])
-    found = placed(noisy, cameras, 0.5)
+    found = triangulated(noisy, cameras, 0.5)
     assert np.median(np.linalg.norm(found - bundle.xyz, axis=1)) < 0.01
-    assert np.abs(found[outlier] - placed(without, cameras, 0.5)).max() < 0.01
+    assert np.abs(found[outlier] - triangulated(without, cameras, 0.5)).max() < 0.01
 
 
 def test_a_bundle_of_some_points_has_all_frames_and_what_they_see_of_these() -> None:
