@@ -12,12 +12,14 @@ import pycolmap
 from scipy.linalg import LinAlgError
 
 from groundwalk.geometry.poses import Array
+from groundwalk.sfm.cameras.adjustment import is_large
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, Held, save_adjusted, with_lenses_of
 from groundwalk.sfm.database import image_names, read_keypoints
 from groundwalk.sfm.mapping.held_out import Matches, VerifiedPairs, read_matches, write_mapping_input
-from groundwalk.sfm.mapping.mappers import continued, from_poses
+from groundwalk.sfm.mapping.mappers import continued, from_poses, with_all_matches
 from groundwalk.sfm.mapping.misplaced import adjust_without_misplaced
 from groundwalk.sfm.mapping.stated import StatedCheck, check_stated
+from groundwalk.sfm.mapping.thinning import write_thinned
 from groundwalk.sfm.model import BuiltModel, add_image, renumbered, write_built
 from groundwalk.sfm.plugins import MAPPERS, MappingInput
 from groundwalk.sfm.settings import SfmSettings
@@ -43,6 +45,7 @@ def build_models(
     """Map verified pairs; `output` then holds what `read_built` reads and the folders that it names.
 
     Mapping begins with a pair of images or, where they are given, with the poses `start_T_cam` (N, 4, 4; NaN for none).
+    Of many frames it has some matches of each pair (module `thinning`); the others' points are triangulated after it.
     Where the largest of the models lacks images, a second mapping continues from it with fewer inliers needed to
     register one, and a third one where that found some. The largest of all is selected, and of the others those that
     have ten or more frames that no larger one has; a frame stays in the largest that has it. Each is adjusted once more
@@ -118,8 +121,14 @@ def _map(
     if start_T_cam is not None:
         mapper, models = "posed", [from_poses(source, start_T_cam, work / mapper)]
     else:
+        first = source
+        if is_large(frames):
+            first = replace(source, database=work / "thinned.db")
+            write_thinned(source.database, first.database, frames, source.seed)
         with MAPPERS.guard(mapper):
-            models = MAPPERS.find(mapper).run(source, work / mapper, report_one)
+            models = MAPPERS.find(mapper).run(first, work / mapper, report_one)
+        if is_large(frames):
+            models = [with_all_matches(source, model, work / mapper) for model in models]
     built = [(BuiltModel.of(mapper, number, model), model) for number, model in enumerate(models)]
     for number in range(_MAX_CONTINUED):
         largest = max(built, key=_size, default=None)

@@ -7,7 +7,7 @@ import numpy as np
 import pycolmap
 
 from groundwalk.geometry.poses import Array, inverse
-from groundwalk.sfm.database import image_id
+from groundwalk.sfm.database import image_id, pose_of
 from groundwalk.sfm.plugins import MappingInput
 
 MIN_MODEL_FRAMES = 3
@@ -61,16 +61,7 @@ def continued(
 def from_poses(source: MappingInput, start_T_cam: Array, folder: Path) -> pycolmap.Reconstruction:
     """A model of the images that have a pose, start_T_cam (N, 4, 4; NaN for none): points triangulated by these poses
     and all adjusted freely, in rounds, first with generous limits. The poses are the start alone."""
-    with pycolmap.Database.open(source.database) as opened:
-        cameras = {camera.camera_id: camera for camera in opened.read_all_cameras()}
-        images = {image.image_id: image for image in opened.read_all_images()}
-    model = pycolmap.Reconstruction()
-    for row in np.flatnonzero(np.isfinite(start_T_cam[:, 0, 0])).tolist():
-        of_image = images[image_id(row)]
-        if not model.exists_camera(of_image.camera_id):
-            model.add_camera_with_trivial_rig(cameras[of_image.camera_id])
-        image = pycolmap.Image(image_id=of_image.image_id, camera_id=of_image.camera_id, name=of_image.name)
-        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(inverse(start_T_cam[row])[:3]))
+    model = _of_poses(source, start_T_cam)
     options = pipeline_options(source)
     adjustment = pycolmap.BundleAdjustmentOptions(print_summary=False)
     adjustment.refine_focal_length = adjustment.refine_principal_point = adjustment.refine_extra_params = False
@@ -84,6 +75,32 @@ def from_poses(source: MappingInput, start_T_cam: Array, folder: Path) -> pycolm
     for image in list(model.images.values()):
         if image.num_points3D < _MIN_OBSERVATIONS:
             model.deregister_frame(image.frame_id)
+    return model
+
+
+def with_all_matches(source: MappingInput, model: pycolmap.Reconstruction, folder: Path) -> pycolmap.Reconstruction:
+    """The poses of a model that was mapped by some matches, and the points of all."""
+    sfm_T_cam = np.full((max(model.reg_image_ids()), 4, 4), np.nan)
+    for i in model.reg_image_ids():
+        sfm_T_cam[i - image_id(0)] = pose_of(model.image(i))
+    options = pipeline_options(source)
+    return pycolmap.triangulate_points(
+        _of_poses(source, sfm_T_cam), source.database, source.images, folder, options=options
+    )
+
+
+def _of_poses(source: MappingInput, sfm_T_cam: Array) -> pycolmap.Reconstruction:
+    """A model of the images that have a pose (N, 4, 4; NaN for none), without points."""
+    with pycolmap.Database.open(source.database) as opened:
+        cameras = {camera.camera_id: camera for camera in opened.read_all_cameras()}
+        images = {image.image_id: image for image in opened.read_all_images()}
+    model = pycolmap.Reconstruction()
+    for row in np.flatnonzero(np.isfinite(sfm_T_cam[:, 0, 0])).tolist():
+        of_image = images[image_id(row)]
+        if not model.exists_camera(of_image.camera_id):
+            model.add_camera_with_trivial_rig(cameras[of_image.camera_id])
+        image = pycolmap.Image(image_id=of_image.image_id, camera_id=of_image.camera_id, name=of_image.name)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(inverse(sfm_T_cam[row])[:3]))
     return model
 
 

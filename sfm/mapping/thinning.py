@@ -1,0 +1,67 @@
+"""Of many frames, the matches by which they are mapped first.
+
+COLMAP's incremental mapping spends on each frame what goes by the length of its features' tracks, and looks through all
+keypoints of all frames before each adjustment: the square of the frames, where one place is walked through again and
+again. Some matches of each pair place a camera as well as some hundreds, if they are of the same tracks in all pairs.
+"""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from groundwalk.sfm.database import Ints, image_id, keypoint_counts
+
+_MATCHES_PER_PAIR = 64
+_NEIGHBOURS = 2
+
+
+def chosen_matches(pair_M: Ints, feature_M2: Ints, features: int, seed: int) -> NDArray[np.bool_]:
+    """Which of M matches, sorted by their pairs, are mapped first, (M,): all of pairs that have few, and of others
+    those of the features (M, 2; numbered through all frames) that draw the highest number.
+
+    A feature's number is the highest of those that it and its neighbours, and theirs, by matches draw. So features of
+    one track mostly have the same (min-wise hashing; Broder, "On the resemblance and containment of documents", 1997),
+    pairs choose the same tracks, and tracks need not be told apart, which wrong matches join into few.
+    """
+    number = np.random.default_rng(seed).random(features)
+    for _ in range(_NEIGHBOURS):
+        highest = number.copy()
+        for one, other in (feature_M2.T, feature_M2.T[::-1]):
+            np.maximum.at(highest, one, number[other])
+        number = highest
+    order = np.lexsort((-number[feature_M2].sum(axis=1), pair_M))
+    rank = np.arange(len(order)) - np.searchsorted(pair_M[order], pair_M[order])
+    chosen = np.zeros(len(order), bool)
+    chosen[order[rank < _MATCHES_PER_PAIR]] = True
+    return chosen
+
+
+def write_thinned(source: Path, target: Path, frames: int, seed: int) -> None:
+    """Write the database `target`: `source`, of so many frames' verified pairs, with some matches of each pair and the
+    keypoints that have any."""
+    start = np.concatenate([[0], np.cumsum(keypoint_counts(source, frames))])
+    with pycolmap.Database.open(source) as database:
+        keypoints = [database.read_keypoints(image_id(row)) for row in range(frames)]
+        pair_ids, geometries = database.read_two_view_geometries()
+    ends = np.array([pycolmap.pair_id_to_image_pair(i) for i in pair_ids], np.int64).reshape(-1, 2)
+    matches = [np.asarray(one.inlier_matches, np.int64).reshape(-1, 2) for one in geometries]
+    pair_M = np.repeat(np.arange(len(matches)), [len(one) for one in matches])
+    feature_M2 = np.concatenate([np.empty((0, 2), np.int64), *matches]) + start[ends - image_id(0)][pair_M]
+    chosen = chosen_matches(pair_M, feature_M2, int(start[-1]), seed)
+    is_kept = np.zeros(start[-1], bool)
+    is_kept[feature_M2[chosen]] = True
+    kept_before = np.concatenate([[0], np.cumsum(is_kept)])
+    matches_left = (kept_before[feature_M2] - kept_before[start[ends - image_id(0)][pair_M]])[chosen].astype(np.uint32)
+    parts = np.split(matches_left, np.searchsorted(pair_M[chosen], np.arange(1, len(matches))))
+    shutil.copyfile(source, target)
+    with pycolmap.Database.open(target) as database, pycolmap.DatabaseTransaction(database):
+        database.clear_keypoints()
+        database.clear_two_view_geometries()
+        for row, of_frame in enumerate(keypoints):
+            database.write_keypoints(image_id(row), of_frame[is_kept[start[row] : start[row + 1]]])
+        for (a, b), geometry, of_pair in zip(ends.tolist(), geometries, parts, strict=True):
+            geometry.inlier_matches = of_pair
+            database.write_two_view_geometry(a, b, geometry)
