@@ -146,7 +146,10 @@ def read_scenes(table: Path) -> Iterator[dict[str, str]]:
     if not table.is_file():
         raise UserError("there is no such table of scenes", where=table, expected=f"a CSV of {', '.join(_COLUMNS)}")
     try:
-        content = pd.read_csv(table, dtype=str, encoding="utf-8-sig", skipinitialspace=True).fillna("")
+        # A scene may be called None, or NA.
+        content = pd.read_csv(
+            table, dtype=str, encoding="utf-8-sig", skipinitialspace=True, keep_default_na=False
+        ).fillna("")
     except (ValueError, UnicodeError) as error:
         raise UserError("a table of scenes can't be read", where=table, found=error, expected="CSV, UTF-8") from None
     if "scene" not in content or not set(content) <= set(_COLUMNS):

@@ -149,20 +149,21 @@ def _read(path: Path, names: list[str], *choices: list[str]) -> pd.DataFrame:
         text = content.decode(encoding_of(content))
         between = max(",;\t", key=text.partition("\n")[0].count)
         decimal = "," if between != "," and re.search(r"\d,\d", text) else "."
-        table = pd.read_csv(
-            StringIO(text), sep=between, decimal=decimal, dtype=dict.fromkeys(names, str), skipinitialspace=True
-        )
+        table = pd.read_csv(StringIO(text), sep=between, dtype=str, skipinitialspace=True, keep_default_na=False)
+        table = table.fillna("")  # not before: a point may be called NA
     except (OSError, ValueError) as error:
         raise UserError("a file of control points can't be read", where=path, found=error, expected=expected) from None
     numbers = next((numbers for numbers in choices if set(numbers) <= set(table)), choices[0])
     if missing := [name for name in [*names, *numbers] if name not in table]:
         found = ", ".join(map(str, table.columns))
         raise UserError(f"column {missing[0]} is missing", where=path, found=found, expected=expected)
-    optional = [name for name in ["sd_m"] if name in table]
-    table[numbers + optional] = table[numbers + optional].apply(pd.to_numeric, errors="coerce")
-    is_whole = np.isfinite(table[numbers].to_numpy(float)).all(axis=1) & table[names].notna().to_numpy().all(axis=1)
+    is_whole = (table[names] != "").all(axis=1)
+    for name in [*numbers, *({"sd_m"} & set(table))]:
+        may_be_missing = (name not in numbers) & table[name].isin(["", "NA"])
+        table[name] = pd.to_numeric(table[name].str.replace(decimal, "."), errors="coerce")
+        is_whole &= np.isfinite(table[name]) | may_be_missing
     if not is_whole.all():
-        line = int(np.argmin(is_whole)) + 2
+        line = int(is_whole.argmin()) + 2
         raise UserError("a line isn't names and finite numbers", where=f"{path}, line {line}", expected=expected)
     if table.empty:
         raise UserError("a file of control points has no lines", where=path, expected=expected)

@@ -45,6 +45,13 @@ def test_a_plan_has_the_stages_that_each_scene_needs_and_names_what_cannot_run(t
     assert "isn't there" in problems["tiny/gone"] and "twice" in problems["tiny/one (line 4)"]
 
 
+def test_a_scene_may_have_a_name_that_tables_take_for_nothing(tmp_path: Path) -> None:
+    jobs, problems = plan(
+        campaign_of(tmp_path, "None,walks/one,import", "NA,walks/one,import"), "tiny", DataRoot(tmp_path)
+    )
+    assert {job.scene for job in jobs} == {"None", "NA"} and not problems
+
+
 @pytest.mark.parametrize("content", ["place\nChurch\n", "", "scene,note\nChurch,x\n", b"\xff\xfe"])
 def test_what_is_no_table_of_scenes_is_refused(tmp_path: Path, content: str | bytes) -> None:
     table = tmp_path / "scenes.csv"

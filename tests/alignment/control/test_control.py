@@ -236,11 +236,20 @@ def test_tables_are_read_as_spreadsheets_write_them(
     assert points_of(place[0], tmp_path).xyz_m.tolist() == [[1.5, -2.0, 0.25]]
 
 
+def test_a_point_may_have_a_name_that_tables_take_for_nothing(place: tuple[Scene, Array], tmp_path: Path) -> None:
+    (tmp_path / "survey.csv").write_text("point,x_m,y_m,z_m\nNA,1.5,-2,0.25\nnull,0,0,0\n")
+    (tmp_path / "seen.csv").write_text("frame,point,x_px,y_px\nwalk0/000000,NA,5,5\nwalk0/000000,null,9,9\n")
+    assert points_of(place[0], tmp_path).xyz_m.tolist() == [[1.5, -2.0, 0.25], [0, 0, 0]]
+
+
 @pytest.mark.parametrize(
     ("survey", "seen", "what"),
     [
         ("point,x,y,z\na,0,0,0\n", "", "column x_m is missing"),
         ("point,x_m,y_m,z_m\na,0,0,zero\n", "", "a line isn't names and finite numbers"),
+        ("point,x_m,y_m,z_m\na,0,0,NA\n", "", "a line isn't names and finite numbers"),
+        ("point,x_m,y_m,z_m,sd_m\na,0,0,0,\nb,0,0,0,5 mm\n", "", "line 3"),
+        ("point,x_m,y_m,z_m\n,0,0,0\n", "", "a line isn't names and finite numbers"),
         ("point,x_m,y_m,z_m\na,0,0,0\na,1,0,0\n", "", "point are listed twice"),
         ("point,x_m,y_m,z_m\na,0,0,0\n", "walk0/000000,b,5,5\n", "aren't surveyed"),
         ("point,x_m,y_m,z_m\na,0,0,0\n", "walk9/000000,a,5,5\n", "a frame that doesn't exist"),
