@@ -32,7 +32,7 @@ class FuseSettings(Settings):
 
 STAGE = Stage(
     name="fuse",
-    version=34,
+    version=35,
     settings=FuseSettings,
     needs=("import", "align", "localise", "train"),
     run=Lazy("groundwalk.fusion.stage:run"),

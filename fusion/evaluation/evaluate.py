@@ -22,6 +22,7 @@ from groundwalk.fusion.evaluation.sessions import session_figures
 from groundwalk.fusion.evaluation.summary import intervals, summarise
 from groundwalk.fusion.evaluation.sweep import around, sweep
 from groundwalk.fusion.evaluation.validation import validation_rows
+from groundwalk.fusion.files.odometry_conventions import refuse_other_conventions, refuse_unrelated
 from groundwalk.fusion.files.quaternion_order import refuse_scalar_first
 from groundwalk.fusion.files.walks import Evaluated, Inputs, check, evaluated
 from groundwalk.fusion.methods import METHODS, method, resolve_options
@@ -160,7 +161,10 @@ def joined_walks(inputs: Inputs, splits: Sequence[str]) -> Iterator[tuple[str, E
     for model, predictions in inputs.predictions.groupby("model", sort=False):
         of_model = evaluated(inputs.scene, inputs.frames, inputs.truth, predictions, splits)
         if model not in inputs.made_here:
+            fusible = with_odometry(of_model.walks)
+            refuse_other_conventions(fusible, inputs.scene)
             refuse_scalar_first(of_model.walks, inputs.scene)
+            refuse_unrelated(fusible, inputs.scene)
         yield str(model), of_model
 
 

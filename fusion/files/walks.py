@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 
+from groundwalk.fusion.files.odometry_conventions import shares_vertical
 from groundwalk.fusion.methods.localiser import is_covariance
 from groundwalk.fusion.walk import Walk, known, with_odometry
 from groundwalk.geometry.poses import Array
@@ -194,7 +195,8 @@ def _walks(
                 true_T[rows],
                 quality[rows],
                 None if covariance is None else covariance[rows],
-                not states_gravity or bool(np.isfinite(gravity[rows]).any()),
+                (not states_gravity or bool(np.isfinite(gravity[rows]).any()))
+                and shares_vertical(true_T[rows], vio_T[rows]),
             )
         )
     return walks

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 
+from groundwalk.geometry.poses import inverse, make_pose, yaw_rotation
 from groundwalk.store.tables import pose_frame
 from tests.fusion.random_walks import random_walk
 
@@ -26,6 +27,10 @@ def tables(seeds: list[int], models: tuple[str, ...] = ("PN",), frames: int = 40
         )
         none = np.full((4, 4), np.nan)
         vio, apr = (np.array([none if p is None else p for p in poses]) for poses in (walk.vio, walk.apr))
+        # Odometry's +y is up, as the map's: turned about it, and somewhere else.
+        first = next(i for i, pose in enumerate(walk.vio) if pose is not None)
+        vio_T_map = make_pose(yaw_rotation(np.array(1.0)), np.array([3.0, 1.0, -2.0]))
+        vio = vio_T_map @ walk.map_T_cam[first] @ inverse(vio[first]) @ vio
         parts["frames"].append(pd.concat([keys, pose_frame("vio_cam", vio)], axis=1))
         parts["truth"].append(pd.concat([keys, pose_frame("map_cam", walk.map_T_cam)], axis=1))
         for model in models:
