@@ -34,6 +34,7 @@ from groundwalk.store.locks import locked
 from groundwalk.store.manifests import MANIFEST, listed_files
 from groundwalk.store.runs import finished_stages
 from groundwalk.store.settings import STAGES, DataRoot, checked_name
+from groundwalk.store.tables import refuse_unnamed_fields
 
 app = new_app("Many scenes.")
 PLAN, WORKFLOW, TABLE, PAGE = "plan.json", "Snakefile", "campaign.parquet", "campaign.html"
@@ -118,6 +119,7 @@ def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str
     jobs: dict[str, Job] = {}
     problems: dict[str, str] = {}
     seen: set[str] = set()
+    captures_of: dict[str, str] = {}
     for number, row in enumerate(read_scenes(table), start=2):
         scene = row["scene"]
         of_scene = f"{row.get('profile', profile)}/{scene}"
@@ -125,8 +127,11 @@ def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str
             problems[f"{of_scene} (line {number})"] = f"the scene stands twice in {table.name}"
             continue
         seen.add(of_scene)
+        captures = row.get("captures", "")
+        if captures_of.setdefault(scene, captures) != captures:
+            problems[of_scene] = f"the scene has other captures above, {captures_of[scene]}: give it another name"
+            continue
         try:
-            captures = row.get("captures", "")
             if is_address(captures):
                 local = data.root / "downloads" / checked_name("scene", scene)
                 local.mkdir(parents=True, exist_ok=True)
@@ -150,6 +155,7 @@ def read_scenes(table: Path) -> Iterator[dict[str, str]]:
         content = pd.read_csv(
             table, dtype=str, encoding="utf-8-sig", skipinitialspace=True, keep_default_na=False
         ).fillna("")
+        refuse_unnamed_fields(content, table)
     except (ValueError, UnicodeError) as error:
         raise UserError("a table of scenes can't be read", where=table, found=error, expected="CSV, UTF-8") from None
     if "scene" not in content or not set(content) <= set(_COLUMNS):
@@ -240,13 +246,13 @@ def _shell(command: str, data: DataRoot) -> str:
     packages = {one.name: f"groundwalk.{one.module.rpartition('.')[0]}" for one in all_commands()}
     options = f"--scene {{wildcards.scene:q}} --profile {{wildcards.profile:q}} --data {shlex.quote(str(data.root))}"
     version = "" if command == "simulate" else f"{EXPECTED_VERSION}={shlex.quote(version_of(stage_of(command)))} "
-    run = f"{version}{python} {packages[command]} {options} > $log 2>&1"
-    report = f" {python} {packages['report']} --force {options} > $log.report 2>&1 || true;"
+    run = f'{version}{python} {packages[command]} {options} > "$log" 2>&1'
+    report = f' {python} {packages["report"]} --force {options} > "$log.report" 2>&1 || true;'
     after = "" if command in ("simulate", "import", "report") else report
     return repr(
-        f"log={{params.log:q}}; [ ! -e $log.refused ] || exit 2; mkdir -p $(dirname $log); status=0; "
-        f"{run} || status=$?; if [ $status = 2 ] && ! grep -qiE '{_MACHINES}' $log; then "
-        f"touch $log.refused;{after} fi; exit $status"
+        f'log={{params.log:q}}; [ ! -e "$log.refused" ] || exit 2; mkdir -p "$(dirname "$log")"; status=0; '
+        f"{run} || status=$?; if [ $status = 2 ] && ! grep -qiE '{_MACHINES}' \"$log\"; then "
+        f'touch "$log.refused";{after} fi; exit $status'
     )
 
 

@@ -267,6 +267,12 @@ def _fault(
             f"mirrored: {int(used.sum())} of {count} points agree with the map, {int(mirrored.sum())} with x negated; "
             "are two of its axes exchanged? It is to be right-handed, as east, north, up"
         )
+    for unit, metres in _UNITS.items() if rigid and used.sum() < enough else ():
+        # Limits in metres are wide or narrow in another unit.
+        in_metres, agree = _agreeing(points, metres * points.xyz_m, mapped, usable)
+        if in_metres and agree.sum() >= enough and abs(in_metres.scale - 1) <= _UNIT_TOLERANCE:
+            times = in_metres.scale / metres
+            return f"its coordinates are {times:.4g} times the map's: they are in {unit}, metres are expected"
     if similar is None or used.sum() < enough:
         return (
             f"only {int(used.sum())} of {count} points agree with the map within {points.settings.max_error_m:g} m, at "

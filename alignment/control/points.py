@@ -17,6 +17,7 @@ from groundwalk.geometry.poses import Array
 from groundwalk.store import UserError
 from groundwalk.store.images import read_grey_image
 from groundwalk.store.parallel import in_parallel
+from groundwalk.store.tables import refuse_unnamed_fields
 from groundwalk.store.text import encoding_of
 
 _LOCAL, _WGS84 = ["x_m", "y_m", "z_m"], ["latitude_deg", "longitude_deg", "altitude_m"]
@@ -59,7 +60,15 @@ def find_points(
     if settings.images:
         seen += _of_file(folder / settings.images, names, frames)
     if settings.dictionary is not None:
-        wanted = {index: (int(m[1]), m[2]) for index, name in enumerate(names) if (m := _TAG_POINT.fullmatch(name))}
+        points = (_TAG_POINT.fullmatch(name.replace(",", ".")) for name in names)
+        wanted = {index: (int(m[1]), m[2]) for index, m in enumerate(points) if m}
+        for tag in {tag for tag, corner in wanted.values() if corner not in (None, "0")}:
+            if (tag, None) in wanted.values() and (tag, "0") not in wanted.values():
+                raise UserError(
+                    f"tag {tag} has its middle and corners, but no corner {tag}.0: did a spreadsheet make {tag} of it?",
+                    where=folder / settings.points,
+                    do="store the column of names as text; or leave the middle out",
+                )
         paths = [image_path(image) for image in frames["image"]]
         found = list(_tags(settings.dictionary, paths))
         for index, (tag, corner) in wanted.items():
@@ -151,6 +160,7 @@ def _read(path: Path, names: list[str], *choices: list[str]) -> pd.DataFrame:
         decimal = "," if between != "," and re.search(r"\d,\d", text) else "."
         table = pd.read_csv(StringIO(text), sep=between, dtype=str, skipinitialspace=True, keep_default_na=False)
         table = table.fillna("")  # not before: a point may be called NA
+        refuse_unnamed_fields(table, path)
     except (OSError, ValueError) as error:
         raise UserError("a file of control points can't be read", where=path, found=error, expected=expected) from None
     numbers = next((numbers for numbers in choices if set(numbers) <= set(table)), choices[0])

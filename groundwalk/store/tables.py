@@ -1,4 +1,4 @@
-"""Parquet tables that are checked against their schema on the way out and on the way in."""
+"""Parquet tables that are checked against their schema on the way out and on the way in, and users' CSVs."""
 
 from pathlib import Path
 from typing import Any
@@ -209,3 +209,15 @@ def points_in_map(points: pd.DataFrame, images: pd.DataFrame, truth: pd.DataFram
         its_points[["x", "y", "z"]] = map_S_sfm.points(its_points[["x", "y", "z"]].to_numpy(float))
         placed.append(its_points)
     return pd.concat(placed or [points[:0]], ignore_index=True)
+
+
+def refuse_unnamed_fields(table: pd.DataFrame, path: Path) -> None:
+    """UserError where lines of a CSV have more fields than its first line has names: pandas takes the first ones for
+    labels of rows, and each other one for that of the column before."""
+    if not isinstance(table.index, pd.RangeIndex):
+        raise UserError(
+            "lines have more fields than the first line has names",
+            where=path,
+            found=f"names {', '.join(map(str, table.columns))}",
+            do="name the last column, or take separators from the ends of lines",
+        )

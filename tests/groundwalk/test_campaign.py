@@ -52,6 +52,15 @@ def test_a_scene_may_have_a_name_that_tables_take_for_nothing(tmp_path: Path) ->
     assert {job.scene for job in jobs} == {"None", "NA"} and not problems
 
 
+def test_a_scene_has_one_folder_of_captures(tmp_path: Path) -> None:
+    table = campaign_of(tmp_path, "one,walks/one,import")
+    (tmp_path / "walks" / "two").mkdir()
+    table.write_text("scene,captures,profile\none,walks/one,tiny\none,walks/two,demo\none,walks/one,standard\n")
+    jobs, problems = plan(table, "tiny", DataRoot(tmp_path / "data"))
+    assert {job.profile for job in jobs} == {"tiny", "standard"}
+    assert "other captures above, walks/one" in problems["demo/one"]
+
+
 @pytest.mark.parametrize("content", ["place\nChurch\n", "", "scene,note\nChurch,x\n", b"\xff\xfe"])
 def test_what_is_no_table_of_scenes_is_refused(tmp_path: Path, content: str | bytes) -> None:
     table = tmp_path / "scenes.csv"
@@ -60,14 +69,20 @@ def test_what_is_no_table_of_scenes_is_refused(tmp_path: Path, content: str | by
         plan(table, "tiny", DataRoot(tmp_path / "data"))
 
 
+def test_fields_without_a_name_are_refused(tmp_path: Path) -> None:
+    (table := tmp_path / "scenes.csv").write_text("scene,profile\nChurch,demo,x\n")
+    with pytest.raises(UserError, match="more fields than the first line has names"):
+        plan(table, "tiny", DataRoot(tmp_path / "data"))
+
+
 def test_a_refused_stage_is_reported_and_stops_no_other_scene(tmp_path: Path) -> None:
     pytest.importorskip("snakemake", reason="campaigns are run by Snakemake: pip install -e '.[campaign]'")
     (tmp_path / "walks" / "empty" / "walk").mkdir(parents=True)
     (tmp_path / "walks" / "empty" / "walk" / "frames.jsonl").write_text("{}\n")
     table = campaign_of(tmp_path, "bad,walks/empty,import", "one,walks/one,import")
-    ended = run_campaign(table, tmp_path / "data")
+    ended = run_campaign(table, tmp_path / "my data")
     assert ended.returncode == 1, ended.stdout + ended.stderr
-    folder = tmp_path / "data" / "campaigns" / "scenes"
+    folder = tmp_path / "my data" / "campaigns" / "scenes"
     outcome = pd.read_parquet(folder / "campaign.parquet").set_index(["scene", "stage"])
     assert outcome["state"].to_dict() == {
         ("bad", "import"): "refused",
@@ -79,8 +94,8 @@ def test_a_refused_stage_is_reported_and_stops_no_other_scene(tmp_path: Path) ->
     page = (folder / "campaign.html").read_text()
     assert page.index("refused</td>") < page.index("done</td>") and "1 refused" in page
     # The same command tries again what was refused, as the capture may be another one now, and nothing else.
-    jobs, problems = plan(table, "tiny", DataRoot(tmp_path / "data"))
-    write_workflow(folder, jobs, problems, DataRoot(tmp_path / "data"))
+    jobs, problems = plan(table, "tiny", DataRoot(tmp_path / "my data"))
+    write_workflow(folder, jobs, problems, DataRoot(tmp_path / "my data"))
     assert not list(folder.rglob("*.refused"))
     done = {path.relative_to(folder / "done").as_posix() for path in (folder / "done").rglob("*") if path.is_file()}
     assert done == {f"{ONE}/import", f"{ONE}/report"}

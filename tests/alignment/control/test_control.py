@@ -192,10 +192,12 @@ def exchanged(enu: Array) -> Array:
     [
         (lambda enu: enu[:, [1, 0, 2]], "mirrored"),
         (lambda enu: FEET * enu, "they are in feet, metres are expected"),
+        (lambda enu: 1000 * enu, "they are in millimetres, metres are expected"),
+        (lambda enu: 100 * enu, "they are in centimetres, metres are expected"),
         (exchanged, "P03 and P07 are exchanged"),
         (one_wrong, r"P04 is (0\.99|1\.0)\d* m from where the images have it"),
     ],
-    ids=["mirrored", "feet", "exchanged", "metre"],
+    ids=["mirrored", "feet", "millimetres", "centimetres", "exchanged", "metre"],
 )
 def test_a_wrong_survey_is_named(change: Callable[[Array], Array], reason: str, walks: Walks, tmp_path: Path) -> None:
     check = judged(*made(walks, 1), tmp_path, change)
@@ -217,6 +219,13 @@ def test_a_tag_that_is_there_twice_is_named(place: tuple[Scene, Array], tmp_path
     assert points.point.tolist() == [0, 0, 2, 2]
     middle, corner = points.xy_px[0], points.xy_px[2]
     assert np.allclose(middle, [60, 140], atol=0.6) and np.allclose(corner, [340, 100], atol=0.6)
+
+
+def test_a_corner_that_a_spreadsheet_made_a_tags_middle_is_refused(place: tuple[Scene, Array], tmp_path: Path) -> None:
+    (tmp_path / "survey.csv").write_text("point,x_m,y_m,z_m\n17,0,0,0\n17.1,1,0,0\n17.2,1,1,0\n")
+    (settings,) = controls_of([{"points": "survey.csv", "dictionary": "DICT_APRILTAG_36h11"}])
+    with pytest.raises(UserError, match=r"no corner 17\.0"):
+        find_points(settings, place[0].frames.iloc[:0], tmp_path, lambda image: tmp_path / image)
 
 
 @pytest.mark.parametrize(
@@ -246,6 +255,7 @@ def test_a_point_may_have_a_name_that_tables_take_for_nothing(place: tuple[Scene
     ("survey", "seen", "what"),
     [
         ("point,x,y,z\na,0,0,0\n", "", "column x_m is missing"),
+        ("point,x_m,y_m,z_m\na,0,0,0,0.002\n", "", "more fields than the first line has names"),
         ("point,x_m,y_m,z_m\na,0,0,zero\n", "", "a line isn't names and finite numbers"),
         ("point,x_m,y_m,z_m\na,0,0,NA\n", "", "a line isn't names and finite numbers"),
         ("point,x_m,y_m,z_m,sd_m\na,0,0,0,\nb,0,0,0,5 mm\n", "", "line 3"),
