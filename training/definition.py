@@ -7,7 +7,7 @@ from groundwalk.training.settings import TrainSettings
 
 STAGE = Stage(
     name="train",
-    version=18,
+    version=19,
     settings=TrainSettings,
     needs=("import", "align"),
     run=Lazy("groundwalk.training.stage:run"),

@@ -6,16 +6,18 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.files import sha256_of
 from groundwalk.store.registry import AN_ID, is_id
-from groundwalk.store.tables import pose_columns, read_parquet
+from groundwalk.store.tables import covariance_numbers, pose_columns, read_parquet
 from groundwalk.training.settings import TrainSettings
 
 _POSE = pose_columns("map_cam")
 _NEEDED = ["model", "frame_id", *_POSE]
 _OPTIONAL = ["picked_scene", "covariance", "inference_ms"]
+_TEXT, _NUMBERS = ["frame_id", "scene", "picked_scene"], [*_POSE, "inference_ms"]
 _MIN_QUATERNION, _MAX_QUATERNION = 0.2, 5.0  # what a network puts out may not be normalised; degrees are far from it
 
 
@@ -23,8 +25,8 @@ def read_imported(r: StageRun[TrainSettings], frames: pd.DataFrame) -> Iterator[
     """Each imported regressor's name, its rows of train.predictions, and where they are from.
 
     Rows of frames that there aren't, and rows without a finite pose, are left out, counted and said. UserError for a
-    file that isn't there or isn't such a table, a frame listed twice, rotations that are no quaternions, and a name
-    that is taken.
+    file that isn't there or isn't such a table, values of another type, a frame listed twice, rotations that are no
+    quaternions, and a name that is taken.
     """
     names: dict[str, str] = {}
     for file in r.settings.predictions:
@@ -66,11 +68,23 @@ def _read(path: Path) -> pd.DataFrame:
     if missing or table.empty:
         fault = f"no {', '.join(missing)}" if missing else "no rows"
         raise UserError("a file of predictions lacks something", where=path, expected=", ".join(_NEEDED), found=fault)
-    for column in _POSE:
-        if not pd.api.types.is_numeric_dtype(table[column]):
+    for column in table.columns.intersection([*_TEXT, *_NUMBERS]):
+        values = table[column]
+        if column in _OPTIONAL and values.isna().all():
+            continue
+        if column in _TEXT:
+            sound, expected = is_string_dtype(values.dropna()), "text"
+        else:
+            sound, expected = is_float_dtype(values) or is_integer_dtype(values), "numbers"
+        if not sound:
             raise UserError(
-                "predicted poses are no numbers", where=f"{path}, column {column}", found=table[column].dtype
+                f"a column of predictions holds no {expected}",
+                where=f"{path}, column {column}",
+                expected=expected,
+                found=values.dtype,
             )
+    if "covariance" in table.columns:
+        table["covariance"] = _covariances(table, path)
     wrong = [name for name in table["model"].unique() if not is_id(name)]
     if wrong:
         raise UserError(
@@ -80,6 +94,22 @@ def _read(path: Path) -> pd.DataFrame:
             found=repr(wrong[0]),
         )
     return table
+
+
+def _covariances(table: pd.DataFrame, path: Path) -> "pd.Series[Any]":
+    """The table's covariances as 36 numbers each, null where there is none."""
+    stated = table["covariance"].dropna()
+    numbers = stated.map(covariance_numbers)
+    if numbers.isna().any():
+        row = numbers.isna().idxmax()
+        found = stated[row]
+        raise UserError(
+            "a covariance of predictions isn't 36 numbers",
+            where=f"{path}, column covariance, frame {table['frame_id'][row]}",
+            expected="a list of 36 numbers, 6x6 row by row, or six lists of six",
+            found=f"{type(found).__name__} {found!s:.60}",
+        )
+    return numbers.reindex(table.index)
 
 
 def _of_frames(

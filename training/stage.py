@@ -14,6 +14,7 @@ import pandas as pd
 import torch
 
 from groundwalk.scoring.errors import sure_enough
+from groundwalk.scoring.scores import median_error
 from groundwalk.store import StageRun, UserError, colours
 from groundwalk.store.child import Report, Task, in_children
 from groundwalk.store.hints import setting_of
@@ -333,15 +334,14 @@ def report_mean_pose(r: StageRun[TrainSettings], frames: pd.DataFrame, data: Fra
 def report_accuracy(
     r: StageRun[TrainSettings], name: str, frames: pd.DataFrame, data: Frames, predictions: pd.DataFrame
 ) -> None:
-    """Keep, as figures, the model's errors on each scene's test frames that it answers, and say them."""
+    """Keep, as figures, the model's errors on each scene's test frames, and say them; a frame without a pose is
+    infinitely wrong."""
     keys = ["scene", "frame_id"]
     matched = frames[keys].merge(predictions, on=keys, how="left")
     position = matched[[f"map_cam_t{a}" for a in "xyz"]].to_numpy(float)
     quaternion = matched[[f"map_cam_q{a}" for a in "xyzw"]].to_numpy(float)
-    answered = np.flatnonzero(np.isfinite(position).all(axis=1))
     for scene in r.leaves:
         rows = np.intersect1d(rows_with_truth(frames, "test"), np.flatnonzero(frames["scene"] == scene))
-        rows = np.intersect1d(rows, answered)
         if len(rows):
             keep_figures(r, name, scene, *errors(position[rows], quaternion[rows], data.select(rows)))
             uncertain = int((~sure_enough(frames["quality"].iloc[rows])).sum())
@@ -353,10 +353,16 @@ def keep_figures(
     r: StageRun[TrainSettings], name: str, scene: str, position: np.ndarray, rotation_deg: np.ndarray
 ) -> None:
     title, unit = f"{name} {scene}", r.map_unit(scene).symbol
-    medians = float(np.median(position)), float(np.median(rotation_deg))
-    r.figure(f"{title} test median position_m", medians[0])
-    r.figure(f"{title} test median rotation_deg", medians[1])
-    r.say(f"{title}: median {medians[0]:.2f} {unit}, {medians[1]:.1f} deg over {len(position)} test frames")
+    medians = median_error(position), median_error(rotation_deg)
+    total, answered = len(position), int(np.isfinite(position).sum())
+    for what, median in zip(("position_m", "rotation_deg"), medians, strict=True):
+        r.figure(f"{title} test median {what}", median if np.isfinite(median) else None)
+    text = f"median {medians[0]:.2f} {unit}, {medians[1]:.1f} deg"
+    if answered == total:
+        r.say(f"{title}: {text} over {total} test frames")
+        return
+    text = text if np.isfinite(medians).all() else "no median, as half or more have no pose"
+    r.say(f"{title}: {text}; {answered} of {total} test frames have a pose")
 
 
 def write_results(r: StageRun[TrainSettings], frames: pd.DataFrame, cache: ImageCache, results: list[Result]) -> None:

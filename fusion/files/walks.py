@@ -17,7 +17,14 @@ from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.store import UserError
 from groundwalk.store.choices import MapUnit
-from groundwalk.store.tables import dataset_frames, map_unit, pose_columns, poses_of, read_parquet
+from groundwalk.store.tables import (
+    covariance_numbers,
+    dataset_frames,
+    map_unit,
+    pose_columns,
+    poses_of,
+    read_parquet,
+)
 
 MIN_OVERLAP = 0.5
 _MIN_QUATERNION = 1e-6
@@ -129,7 +136,9 @@ def evaluated(
             found=f"{len(ordered)} frames of split {', '.join(splits)}",
             do="look at the align stage's table checks, or give ground truth of the evaluated frames",
         )
-    refused = predicted["refusal"].notna().to_numpy() if "refusal" in predicted else np.zeros(len(predicted), bool)
+    refused = np.zeros(len(predicted), dtype=bool)
+    if "refusal" in predicted:  # a pose that is there is used, whatever stands beside it
+        refused = (predicted["refusal"].notna() & predicted["refusal"].ne(False)).to_numpy(bool) & ~known(apr_T)
     walks = _walks(scene, ordered, (vio_T, apr_T, true_T), quality, covariance)
     listed = ordered["frame_id"].isin(predictions["frame_id"]).to_numpy()
     unknown = int((~predictions["frame_id"].isin(frames["frame_id"])).sum())
@@ -157,7 +166,7 @@ def evaluated(
     }
     if listed.mean() < MIN_OVERLAP:
         raise UserError(
-            f"scene {scene}: predictions and frames hardly overlap",
+            f"scene {scene}: predictions of {predictions['model'].iloc[0]} and frames hardly overlap",
             expected=f"a prediction for at least {MIN_OVERLAP:.0%} of the {len(ordered)} evaluated frames",
             found=f"{int(listed.sum())}, and {unknown} predictions of unknown frames",
             do="check that frame_id is <session>/<six digits> as in the frames table",
@@ -208,12 +217,10 @@ def _covariances(predictions: pd.DataFrame) -> tuple[Array | None, int]:
     if "covariance" not in predictions.columns or not predictions["covariance"].notna().any():
         return None, 0
     covariances, unsound = np.full((len(predictions), 6, 6), np.nan), 0
-    for i, numbers in enumerate(predictions["covariance"]):
-        if numbers is None or np.ndim(numbers) == 0:
-            continue
-        matrix = np.asarray(numbers, dtype=float).ravel()
-        if matrix.size == 36 and is_covariance(matrix.reshape(6, 6)):
-            covariances[i] = matrix.reshape(6, 6)
+    for i in np.flatnonzero(predictions["covariance"].notna()):
+        numbers = covariance_numbers(predictions["covariance"].iloc[i])
+        if numbers is not None and is_covariance(numbers.reshape(6, 6)):
+            covariances[i] = numbers.reshape(6, 6)
         else:
             unsound += 1
     return covariances, unsound

@@ -173,6 +173,18 @@ def pose_frame(prefix: str, poses: Array) -> pd.DataFrame:
     return pd.DataFrame(values, columns=pose_columns(prefix))
 
 
+def covariance_numbers(cell: object) -> Array | None:
+    """The numbers (36,) of a cell of a column of covariances, a list of them or of the matrix's six rows; None where it
+    holds anything else."""
+    if not isinstance(cell, list | np.ndarray):
+        return None
+    try:
+        numbers = np.array(list(cell), dtype=float).ravel()
+    except (TypeError, ValueError):
+        return None
+    return numbers if numbers.size == 36 else None
+
+
 def map_unit(truth: pd.DataFrame) -> MapUnit:
     """The unit of the map, by the frames of its ground truth; metres where a table from elsewhere doesn't say."""
     sources = set(truth["scale_source"]) if "scale_source" in truth else set()

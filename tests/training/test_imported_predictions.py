@@ -67,6 +67,38 @@ def test_rows_that_cannot_be_used_are_counted(make_scene: MakeScene, capsys: pyt
     assert "2 predictions have no finite pose" in said
 
 
+def test_test_frames_without_a_pose_are_infinitely_wrong(
+    make_scene: MakeScene, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = make_scene()
+    rows = written(data)
+    tested = rows["frame_id"].str.startswith("later/")
+    ours, theirs = (np.flatnonzero(tested & (rows["model"] == name)) for name in ("ours", "theirs"))
+    assert len(ours) == 3
+    rows.loc[ours[:2], "map_cam_tx"] += [1.0, 2.0]
+    rows.loc[theirs[0], "map_cam_tx"] = np.nan
+    more = rows[rows["model"] == "ours"].assign(model="whole")
+    pd.concat([rows.drop([ours[2], theirs[1]]), more]).to_parquet(data / "mine.parquet")
+    figures = load_manifest(run(data))["figures"]
+    said = capsys.readouterr().err
+    assert figures["ours Wall test median position_m"] == pytest.approx(2)
+    assert "ours Wall: median 2.00 m, 0.0 deg; 2 of 3 test frames have a pose" in said
+    assert figures["theirs Wall test median position_m"] is figures["theirs Wall test median rotation_deg"] is None
+    assert "theirs Wall: no median, as half or more have no pose; 1 of 3 test frames have a pose" in said
+    assert figures["whole Wall test median position_m"] == pytest.approx(1)
+    assert "whole Wall: median 1.00 m, 0.0 deg over 3 test frames" in said
+
+
+def test_covariances_are_36_numbers_or_six_rows_of_six(make_scene: MakeScene) -> None:
+    data = make_scene()
+    matrix = np.arange(36.0).reshape(6, 6)
+    for stated in (matrix.ravel().tolist(), matrix.tolist()):
+        written(data, covariance=[None, *[stated] * 25])
+        covariance = pd.read_parquet(run(data) / "predictions.parquet")["covariance"]
+        assert covariance.isna().sum() == 1
+        assert np.array_equal(np.stack(covariance.dropna().to_list()), np.tile(np.arange(36), (25, 1)))
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -76,6 +108,13 @@ def test_rows_that_cannot_be_used_are_counted(make_scene: MakeScene, capsys: pyt
         (lambda rows: rows.assign(map_cam_qx=90.0), r"no quaternions[\s\S]*lengths up to 90"),
         (lambda rows: rows.assign(map_cam_tx="far"), r"no numbers[\s\S]*map_cam_tx"),
         (lambda rows: rows.assign(frame_id="elsewhere/000001").iloc[[0, 13]], r"no prediction of ours is of a frame"),
+        (lambda rows: rows.assign(frame_id=range(len(rows))), r"no text[\s\S]*column frame_id[\s\S]*text[\s\S]*int64"),
+        (lambda rows: rows.assign(scene=1), r"no text[\s\S]*column scene\n"),
+        (lambda rows: rows.assign(picked_scene=0), r"no text[\s\S]*column picked_scene"),
+        (lambda rows: rows.assign(inference_ms="12.1"), r"no numbers[\s\S]*column inference_ms[\s\S]*numbers"),
+        (lambda rows: rows.assign(covariance="[1, 0]"), r"36 numbers[\s\S]*frame walk/000000[\s\S]*str \[1, 0\]"),
+        (lambda rows: rows.assign(covariance=0.2), r"36 numbers[\s\S]*column covariance[\s\S]*float64 0\.2"),
+        (lambda rows: rows.assign(covariance=[[1.0] * 9] * len(rows)), r"36 numbers[\s\S]*column covariance"),
         (lambda rows: rows.assign(model="../up"), r"name can't be used[\s\S]*\.\./up"),
     ],
 )

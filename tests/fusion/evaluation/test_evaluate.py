@@ -183,6 +183,45 @@ def test_covariances_that_predictions_bring_reach_the_walk_and_wrong_ones_are_co
     assert plain.predicted_covariance is None
 
 
+def test_covariances_may_be_six_rows_and_what_is_no_matrix_is_counted(tmp_path: Path) -> None:
+    frames, truth, predictions = tables([1])
+
+    def of_file(**covariance: Any) -> Results:
+        files = parquet_files(tmp_path, frames, truth, predictions.assign(**covariance))
+        return evaluate([files.read("Place")], FuseSettings(methods=["drift_aware"]))
+
+    matrix = np.diag([0.01] * 3 + [0.2] * 3)
+    flat, rows = (of_file(covariance=[stated] * 40) for stated in (matrix.ravel().tolist(), matrix.tolist()))
+    pd.testing.assert_frame_equal(rows.tables["poses"], flat.tables["poses"])
+    without = of_file().tables["poses"]
+    assert not without.equals(flat.tables["poses"])
+    for stated in (json.dumps(matrix.ravel().tolist()), 0.2):
+        found = of_file(covariance=stated)
+        pd.testing.assert_frame_equal(found.tables["poses"], without)
+        assert any("not positive definite: 40 (or not 6x6 numbers" in line for line in report_lines(found))
+
+
+def test_only_predictions_without_a_pose_are_refusals() -> None:
+    frames, truth, predictions = tables([1])
+    predictions["map_cam_tx"] = predictions["map_cam_tx"].fillna(0.0)
+    predictions.loc[[3, 4], "map_cam_tx"] = np.nan
+
+    def counts(refusal: Any) -> tuple[int, int]:
+        found = run(frames, truth, predictions.assign(refusal=refusal), methods=["raw"]).counts
+        return found["predictions_refused"], found["predictions_not_finite"]
+
+    missing = counts(None)[1]
+    assert counts(None) == counts(False) == (0, missing) and missing >= 2
+    assert counts("few_matches") == counts(True) == (missing, 0)
+    assert counts(["few_matches" if row == 3 else None for row in range(40)]) == (1, missing - 1)
+
+
+def test_the_model_that_hardly_overlaps_is_named() -> None:
+    frames, truth, predictions = tables([2], ("PN", "MS-T"))
+    with pytest.raises(UserError, match="predictions of MS-T and frames hardly overlap"):
+        run(frames, truth, predictions[:50], methods=["raw"])
+
+
 @pytest.mark.parametrize(
     ("scale_source", "unit"), [("none", MapUnit.SFM), ("reference, unit unknown", MapUnit.REFERENCE)]
 )
