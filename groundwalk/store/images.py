@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import re
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,9 @@ Image = NDArray[np.uint8]
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_SIGNATURE = b"\xff\xd8\xff"
-_START_OF_SCAN, _COMMENT, _ADOBE = 0xDA, 0xFE, 0xEE
+_START_OF_SCAN, _END, _COMMENT, _ADOBE = 0xDA, 0xD9, 0xFE, 0xEE
+# Ends a scan: in its data 00 behind FF makes that a byte, D0 to D7 restart the coder, and another FF fills.
+_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 # How many times smaller a JPEG can be decoded at once.
 _REDUCED = {
     8: cv2.IMREAD_REDUCED_COLOR_8,
@@ -97,20 +100,28 @@ def small_jpeg(path: Path, long_side: int, gravity_x: float, gravity_y: float) -
 
 
 def without_metadata(data: bytes) -> bytes:
-    """A JPEG or PNG without what may say where, when and by whom it was taken; its pixels and colour profile stay.
+    """A JPEG or PNG without what may say where, when and by whom it was taken; its pixels and colour profile stay. What
+    lies behind a JPEG's end, such as a phone's second picture or its video, goes.
 
-    Data that isn't laid out as expected comes back as it is.
+    Data that isn't laid out as expected comes back as it is, from where it isn't.
     """
     if data.startswith(JPEG_SIGNATURE):
         kept, at = [data[:2]], 2
-        while at + 4 <= len(data) and data[at] == 0xFF:
+        while at + 2 <= len(data) and data[at] == 0xFF:
+            if data[at + 1] == 0xFF:  # fills
+                at += 1
+                continue
             marker, end = data[at + 1], at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+            if marker == _END:
+                return b"".join([*kept, data[at : at + 2]])
             if marker == _START_OF_SCAN:
-                return b"".join([*kept, data[at:]])
+                scan_end = _MARKER.search(data, end)
+                end = scan_end.start() if scan_end else len(data)
             is_personal = marker == _COMMENT or (0xE1 <= marker <= 0xEF and marker != _ADOBE)
             if not is_personal or data[at + 4 : end].startswith(b"ICC_PROFILE"):
                 kept.append(data[at:end])
             at = end
+        return b"".join([*kept, data[at:]])
     elif data.startswith(PNG_SIGNATURE):
         kept, at = [data[:8]], 8
         while at + 12 <= len(data):

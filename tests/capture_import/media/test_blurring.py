@@ -1,5 +1,6 @@
 """What may tell who was there doesn't get into artefacts: metadata, and faces and plates where that is asked for."""
 
+import io
 import struct
 import zlib
 from collections.abc import Callable, Sequence
@@ -10,6 +11,7 @@ import cv2
 import matplotlib
 import numpy as np
 import pandas as pd
+import PIL.Image
 import pytest
 
 from groundwalk.capture_import.media.blurring import Blurring, FaceDetector, Region, blurred, read_boxes
@@ -81,6 +83,19 @@ def test_metadata_goes_and_pixels_stay(write: Callable[[int], bytes]) -> None:
     assert b"ICC_PROFILE" in bare or write is png_with_metadata
     np.testing.assert_array_equal(decode_rgb(bare, 1000), decode_rgb(data, 1000))
     assert without_metadata(bare) == bare
+
+
+@pytest.mark.parametrize("how", [{}, {"progressive": True}, {"restart_marker_blocks": 2}])
+def test_what_lies_behind_a_jpegs_end_goes(how: dict[str, int]) -> None:
+    """A phone's second picture, whose EXIF says where, or its video; a JPEG with nothing there stays to the byte."""
+    picture, written, pair = PIL.Image.fromarray(portrait()), io.BytesIO(), io.BytesIO()
+    picture.save(written, "JPEG", **how)
+    data = written.getvalue()
+    assert without_metadata(data) == data and without_metadata(data[:-2]) == data[:-2]
+    assert without_metadata(data + b"\0\0\0\x18ftypmp42" + PLACE) == data
+    assert without_metadata(data + jpeg_with_metadata(3)) == data
+    picture.save(pair, "MPO", save_all=True, append_images=[picture], **how)
+    assert without_metadata(pair.getvalue()).count(b"\xff\xd8\xff") == 1
 
 
 def test_copied_images_tell_no_place(tmp_path: Path, place: Path) -> None:
