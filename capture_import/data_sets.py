@@ -17,8 +17,6 @@ from groundwalk.store.text import natural_order
 
 Row = TypeVar("Row")
 
-GUESS_SD = 0.5
-"""Of a guessed focal length, as a fraction: phones' are 0.7 to 0.9 of the longer side, other cameras' 1 to 3."""
 NO_DISTORTION = (0.0,) * 4
 """Stated to be none: of images that were undistorted, or drawn."""
 # How far below a data set's folder of images a recording's may lie.

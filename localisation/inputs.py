@@ -16,15 +16,16 @@ from groundwalk.geometry.fits import sim3_between
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.frames import Views, subset
 from groundwalk.localisation.prepared import Training
+from groundwalk.store.choices import QualityClass, Split
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import camera_of, dataset_frames, poses_of, read_table, with_gravity_of_map
+from groundwalk.store.tables import GUESS_SD, camera_of, dataset_frames, poses_of, read_table, with_gravity_of_map
 
 
 @dataclass(frozen=True)
 class Inputs:
     """Frames of a scene's dataset that have ground truth: their rows of import.frames, with `split` as imported; the
-    cameras that go with the poses, and as the phone logged them; views; gravity (N, 3) in the camera, NaN where
-    none."""
+    cameras that go with the poses, and as queries are asked with: as the phone logged them, where it did; views;
+    gravity (N, 3) in the camera, NaN where none."""
 
     frames: pd.DataFrame
     logged: tuple[Camera, ...]
@@ -60,7 +61,29 @@ def read_inputs(run: Path) -> Inputs:
         units[:, None] * velocity,
     )
     gravity = frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
-    return Inputs(frames, tuple(map(camera_of, frames.itertuples())), views, gravity)
+    return Inputs(frames, tuple(map(camera_of, with_found_focal(frames, run).itertuples())), views, gravity)
+
+
+def with_found_focal(frames: pd.DataFrame, run: Path) -> pd.DataFrame:
+    """Rows of import.frames; a focal length that is a guess is the median of those that sfm found for the training
+    frames of the same device and image size, of whatever orientation, where there are any."""
+    is_guess = (frames["focal_sd"] >= GUESS_SD).to_numpy()
+    if not is_guess.any():
+        return frames
+    sessions = read_table(run / "import" / "sessions.parquet", schema("import", "sessions"))
+    every = dataset_frames(read_table(run / "import" / "frames.parquet", schema("import", "frames")))
+    truth = read_table(run / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
+    truth = truth[((truth["split"] == Split.TRAIN) & (truth["quality"] != QualityClass.NONE)).to_numpy()]
+    trained = every[["frame_id", "session_id", "width", "height"]].merge(truth[["frame_id", "fx", "fy"]], on="frame_id")
+    device_of = dict(zip(sessions["session_id"], sessions["device"], strict=True))
+
+    def lenses(rows: pd.DataFrame) -> list[str]:
+        sizes = np.sort(rows[["width", "height"]].to_numpy(int), axis=1).tolist()
+        return [f"{device_of.get(of) or of} {size}" for of, size in zip(rows["session_id"], sizes, strict=True)]
+
+    found = trained.groupby(np.array(lenses(trained), object))[["fx", "fy"]].median().reindex(lenses(frames))
+    is_found = is_guess & found["fx"].notna().to_numpy()
+    return frames.assign(**{name: np.where(is_found, found[name], frames[name]) for name in ("fx", "fy")})
 
 
 def training_of(inputs: Inputs, rows: NDArray[np.int64], features: Sequence[Features]) -> Training:

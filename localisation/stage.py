@@ -13,7 +13,7 @@ import pandas as pd
 
 from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
-from groundwalk.localisation.inputs import read_inputs, training_of
+from groundwalk.localisation.inputs import read_inputs, training_of, with_found_focal
 from groundwalk.localisation.localisers import LOCALISERS, FeatureKind, Localiser
 from groundwalk.localisation.prepared import MIN_POINTS, Prepared, prepare
 from groundwalk.localisation.record import blueprint, record
@@ -51,7 +51,7 @@ def run(r: StageRun[LocaliseSettings]) -> None:
     r.warn_of_scale()
     queries = r.dataset_frames()
     queries = queries[queries["split"].isin(r.settings.splits)].sort_values(["session_id", "t_ns"])
-    queries = queries.reset_index(drop=True)
+    queries = with_found_focal(queries.reset_index(drop=True), r.data.run(r.profile, r.scene.name))
     runs: dict[str, LocaliserRun] = {}
     faults = [*LOCALISERS.unusable(r.settings.models)]
     prepared: dict[FeatureKind, Prepared] = {}

@@ -24,12 +24,13 @@ import PIL.ExifTags
 import PIL.Image
 
 from groundwalk.capture_import.capture import GpsFix, ImageFile, Intrinsics, Limits, RawFrame, Recording, Reject
-from groundwalk.capture_import.data_sets import GUESS_SD, guessed_intrinsics, images_alone
+from groundwalk.capture_import.data_sets import guessed_intrinsics, images_alone
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.media.images import BadImage, image_size
 from groundwalk.capture_import.media.video import is_video
 from groundwalk.capture_import.parsing import BadRow, images_in, in_order, read_fixes, read_rows, seconds_to_ns
 from groundwalk.store.choices import Clock
+from groundwalk.store.tables import GUESS_SD
 from groundwalk.store.text import name_list, printable
 
 _FOLDERS = ("images", "input", "frames", "photos")

@@ -7,10 +7,11 @@ rate, each with its time; nothing says how wide the lens is, and stabilisation c
 from pathlib import Path
 
 from groundwalk.capture_import.capture import Limits, RawFrame, Recording, VideoFrame
-from groundwalk.capture_import.data_sets import GUESS_SD, guessed_intrinsics, images_alone
+from groundwalk.capture_import.data_sets import guessed_intrinsics, images_alone
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.media.video import first_frame, frame_times, is_video
 from groundwalk.store.choices import Clock
+from groundwalk.store.tables import GUESS_SD
 
 
 def read(path: Path, limits: Limits) -> Recording:

@@ -18,6 +18,8 @@ from groundwalk.store.files import leads_outside, written_aside
 from groundwalk.store.schemas import TableSchema
 
 CAMERA_COLUMNS = ["fx", "fy", "cx", "cy", "distortion"]
+GUESS_SD = 0.5
+"""Of a guessed focal length, as a fraction: phones' are 0.7 to 0.9 of the longer side, other cameras' 1 to 3."""
 _QUATERNION_TOLERANCE = 1e-6
 
 

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from groundwalk.localisation.definition import STAGE
-from groundwalk.localisation.inputs import read_inputs
+from groundwalk.localisation.inputs import read_inputs, with_found_focal
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.localisation.results import QueryResult
 from groundwalk.scoring.errors import position_error, rotation_error_deg
@@ -53,6 +53,24 @@ def test_training_frames_move_as_sfm_says(make_boards: MakeBoards) -> None:
     np.testing.assert_allclose(inputs.views.angular, [[0.1, 0, 0]] * COUNT)
     np.testing.assert_allclose(inputs.views.velocity, [[0, 0, 0.6]] * COUNT)
     assert {camera.first_row for camera in (*inputs.logged, *inputs.views.cameras)} == {"left"}
+
+
+def test_frames_of_a_guessed_focal_length_are_asked_with_the_training_frames(make_boards: MakeBoards) -> None:
+    """Never with their own, which is ground truth; those of another size, or logged, as they were."""
+    made = make_boards()
+    folder, tested = made.data.run("tiny", "Boards"), np.flatnonzero(TEST)
+    frames, truth = (table_of(made.data, "Boards", *name) for name in (("import", "frames"), ("align", "ground_truth")))
+    assert with_found_focal(frames, folder) is frames
+    truth.loc[tested, ["fx", "fy"]] = 999.0
+    put(made.data, "Boards", "align", "ground_truth", truth)
+    frames = frames.assign(fx=384.0, fy=384.0, focal_sd=0.5)
+    put(made.data, "Boards", "import", "frames", frames)
+    mixed = frames.assign(width=np.where(TEST, 640, 320), focal_sd=np.where(VAL, 0.0, 0.5))
+    np.testing.assert_array_equal(with_found_focal(mixed, folder)["fy"], np.where(TEST | VAL, 384.0, 300.0))
+    run(made, 'models=["Map"]')
+    for row in tested.tolist():
+        pose = poses_of(of_frame(made.table("predictions"), row).to_frame().T, "map_cam")[0]
+        assert position_error(pose, made.map_T_cam[row]) < 0.02
 
 
 def test_every_query_is_localised_and_what_it_cost_is_said(boards: Boards) -> None:
