@@ -233,7 +233,7 @@ def test_kapture_is_two_data_sets_by_its_definition(scene: DataRoot) -> None:
     """Fields between commas; a pose is world to camera, w first; a record's sensor is in sensors.txt, its pose in
     trajectories.txt under the same time and sensor."""
     out = _export(scene, "kapture")
-    frame_of, truth, found = _frame_of(out), _truth(scene), dict[str, Array]()
+    frame_of, truth, found, devices = _frame_of(out), _truth(scene), dict[str, Array](), list[str]()
     sizes = table_of(scene, "Place", "import", "frames").set_index("frame_id")[["width", "height"]].astype(str)
     for part, splits in (("mapping", {"train", "val"}), ("query", {"test"})):
         tables = {}
@@ -242,6 +242,7 @@ def test_kapture_is_two_data_sets_by_its_definition(scene: DataRoot) -> None:
             assert lines[0] == "# kapture format: 1.1"
             tables[name] = [[field.strip() for field in line.split(",")] for line in lines if not line.startswith("#")]
         sensors = {device: fields for device, _, kind, *fields in tables["sensors"] if kind == "camera"}
+        devices += sensors
         poses = {(time, device): np.array(pose, float) for time, device, *pose in tables["trajectories"]}
         for time, device, image in tables["records_camera"]:
             frame_id = frame_of[f"{part}/sensors/records_data/{image}"]
@@ -252,6 +253,8 @@ def test_kapture_is_two_data_sets_by_its_definition(scene: DataRoot) -> None:
             np.testing.assert_allclose(np.array(params, float), row[INTRINSICS].to_numpy(float), atol=1e-6)
             qw, qx, qy, qz, *translation = poses[time, device]
             found[frame_id] = inverse(pose_from_tq(np.array(translation), np.array([qx, qy, qz, qw])))
+    # kapture's merge takes sensors of one id as one, with the first part's camera.
+    assert len(devices) == len(set(devices))
     _assert_same(scene, found)
 
 
