@@ -24,9 +24,9 @@ from groundwalk.capture_import.capture import (
     poses_of,
 )
 from groundwalk.capture_import.checks.rows import check_rows
-from groundwalk.capture_import.media.images import exif_orientation
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store.choices import PoseSource, SessionSplit
+from groundwalk.store.images import exif_orientation
 from groundwalk.store.text import name_list
 
 # Grey levels, of 255: a covered lens with a sensor's noise has 0 to 1, a dim or dull view 30 and more.

@@ -19,7 +19,7 @@ from groundwalk.store.choices import MapUnit, QualityClass, VerticalSource
 from groundwalk.store.files import read_json
 from groundwalk.store.georeference import FILE, Georeference, read_georeference
 from groundwalk.store.hints import run_command, setting_of
-from groundwalk.store.images import image_file, verify_images, without_metadata
+from groundwalk.store.images import exif_orientation, image_file, verify_images, without_metadata
 from groundwalk.store.manifests import MANIFEST, load_verified, missing_stage
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import (
@@ -81,14 +81,14 @@ class ImageSource:
         return self.file
 
     def place(self, target: Path, images: Images) -> None:
-        """Link the image to `target`, or copy it without metadata; undistorted, or as the PNG that `target` asks for,
-        it's written anew."""
+        """Link the image to `target`, or copy it without metadata, as one is that readers would turn by its EXIF;
+        undistorted, or as the PNG that `target` asks for, it's written anew."""
         if images == "none":
             return
         self.existing()
         target.parent.mkdir(parents=True, exist_ok=True)
         if self.undistorted is None and (target.suffix == self.file.suffix or target.suffix != ".png"):
-            if images == "link":
+            if images == "link" and exif_orientation(self.file) == 1:
                 target.symlink_to(self.file.resolve())
             else:
                 target.write_bytes(without_metadata(self.file.read_bytes()))

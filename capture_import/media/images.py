@@ -4,13 +4,11 @@ import hashlib
 import io
 import math
 import struct
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pi_heif
-import PIL.ExifTags
 import PIL.Image
 import simplejpeg
 from numpy.typing import NDArray
@@ -81,17 +79,6 @@ def _opened_heic(data: bytes, colours: str = "") -> PIL.Image.Image:
         return image.convert(colours) if colours else image
     except (OSError, ValueError, SyntaxError, EOFError, RuntimeError, PIL.Image.DecompressionBombError):
         raise BadImage("is broken: the HEIC can't be decoded") from None
-
-
-def exif_orientation(path: Path) -> int:
-    """How EXIF says that an image's pixels are turned, 1 to 8 (TIFF 6.0, Orientation); 1, as they are, where it
-    doesn't."""
-    try:
-        with PIL.Image.open(path) as image:
-            orientation = image.getexif().get(PIL.ExifTags.Base.Orientation, 1)
-    except (OSError, ValueError, SyntaxError):
-        return 1
-    return orientation if orientation in range(1, 9) else 1
 
 
 def decode_rgb(data: bytes, long_side: int) -> NDArray[np.uint8]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.ExifTags
 import PIL.Image
 from numpy.typing import NDArray
 
@@ -97,6 +98,17 @@ def small_jpeg(path: Path, long_side: int, gravity_x: float, gravity_y: float) -
     if not done:
         raise RuntimeError(f"no JPEG of {path}")
     return jpeg.tobytes()
+
+
+def exif_orientation(path: Path) -> int:
+    """How EXIF says that an image's pixels are turned, 1 to 8 (TIFF 6.0, Orientation); 1, as they are, where it
+    doesn't."""
+    try:
+        with PIL.Image.open(path) as image:
+            orientation = image.getexif().get(PIL.ExifTags.Base.Orientation, 1)
+    except (OSError, ValueError, SyntaxError):
+        return 1
+    return orientation if orientation in range(1, 9) else 1
 
 
 def without_metadata(data: bytes) -> bytes:

@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 import open3d
 import pandas as pd
+import PIL.ExifTags
+import PIL.Image
 import pycolmap
 import pytest
 from evo.tools import file_interface
@@ -371,6 +373,16 @@ def test_copied_and_embedded_images_carry_no_place(scene: DataRoot) -> None:
     target = scene.root / "copied.jpg"
     dataset.images[0].place(target, "copy")
     assert b"151.2153" not in target.read_bytes() and b"151.2153" not in _encoded(dataset.images[0], "a")["bytes"]
+
+
+def test_an_image_that_readers_would_turn_by_its_exif_is_copied(scene: DataRoot) -> None:
+    source, exif = load_dataset(scene, "tiny", "Place", reads_images=False).images[0], PIL.Image.Exif()
+    for orientation, name in ((1, "linked.jpg"), (6, "turned.jpg")):
+        exif[PIL.ExifTags.Base.Orientation] = orientation
+        PIL.Image.new("RGB", (16, 12)).save(source.file, exif=exif)
+        source.place(scene.root / name, "link")
+    assert (scene.root / "linked.jpg").is_symlink() and not (scene.root / "turned.jpg").is_symlink()
+    assert read_picture(scene.root / "turned.jpg").shape == (12, 16, 3)
 
 
 def test_hloc_without_test_frames_and_a_data_set_without_a_licence_are_refused(scene: DataRoot) -> None:
