@@ -81,13 +81,13 @@ def write_euroc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
 
 
 def _sensor(camera: Camera) -> list[str]:
-    """Lines of `sensor.yaml`."""
+    """Lines of `sensor.yaml`; pixel centres are whole numbers there."""
     return [
         *("sensor_type: camera", "T_BS:", "  cols: 4", "  rows: 4"),
         f"  data: [{numbers(*np.eye(4).ravel(), separator=', ')}]",
         f"resolution: [{camera.width}, {camera.height}]",
         "camera_model: pinhole",
-        f"intrinsics: [{numbers(camera.fx, camera.fy, camera.cx, camera.cy, separator=', ')}]",
+        f"intrinsics: [{numbers(camera.fx, camera.fy, camera.cx - 0.5, camera.cy - 0.5, separator=', ')}]",
         "distortion_model: radial-tangential",
         "distortion_coefficients: [0.0, 0.0, 0.0, 0.0]",
     ]

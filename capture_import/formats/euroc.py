@@ -43,7 +43,8 @@ def read(path: Path, limits: Limits) -> Recording:
 
 
 def _intrinsics(text: str) -> Intrinsics:
-    fx, fy, cx, cy = parsing.yaml_numbers(text, "intrinsics", 4)
+    fx, fy, *centre = parsing.yaml_numbers(text, "intrinsics", 4)
+    cx, cy = (at + 0.5 for at in centre)  # pixel centres are whole numbers there
     width, height = (parsing.to_pixels(size) for size in parsing.yaml_numbers(text, "resolution", 2))
     distortion = tuple(parsing.yaml_numbers(text, "distortion_coefficients", 4))
     if re.search(r"^distortion_model:\s*equidistant", text, re.M):

@@ -297,13 +297,13 @@ def write_pose_list(folder: Path, walk: Walk) -> None:
 
 
 def write_euroc(folder: Path, walk: Walk) -> None:
-    """EuRoC: poses of a body, world +z up, with one camera for all images."""
+    """EuRoC: poses of a body, world +z up, with one camera for all images; its pixel centres are whole numbers."""
     body_T_cam = make_pose(Rotation.from_euler("xyz", [90, 20, 5], degrees=True).as_matrix(), [0.1, -0.2, 0.3])
     t, q = tq_from_pose(_ZUP_T_YUP @ walk.vio_T_cam @ inverse(body_T_cam))
     rows = [f"{walk.t_ns[i]},{_row(t[i], q[i, 3:], q[i, :3], sep=',')}" for i in walk.all]
     camera = (
         f"sensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: {body_T_cam.ravel().tolist()}\nrate_hz: 20\n"
-        f"resolution: {list(walk.size)}\nintrinsics: {walk.camera[0].tolist()} #fu, fv, cu, cv\n"
+        f"resolution: {list(walk.size)}\nintrinsics: {(walk.camera[0] - [0, 0, 0.5, 0.5]).tolist()} #fu, fv, cu, cv\n"
         "distortion_model: radial-tangential\ndistortion_coefficients: [0.0, 0.0, 0.0, 0.0]\n"
     )
     listed = "".join(f"{walk.t_ns[i]},{walk.t_ns[i]}.png\n" for i in walk.seen)

@@ -402,6 +402,8 @@ def test_evo_reads_euroc_which_has_one_camera_a_session(scene: DataRoot) -> None
     assert {frame_id: int(Path(image).stem) for image, frame_id in _frame_of(out).items()} == truth["t_ns"].to_dict()
     for session in _sessions(out):
         assert session.pose_source == "reference" and len({there(raw.intrinsics) for raw in session.frames}) == 1
+    # The middle of SIZE, where the first pixel's centre is 0.
+    assert ", 159.5, 119.5]" in (out / "walk0" / "mav0" / "cam0" / "sensor.yaml").read_text()
     path = out / "walk0" / "mav0" / "state_groundtruth_estimate0" / "data.csv"
     trajectory = file_interface.read_euroc_csv_trajectory(str(path))
     walk0 = truth[truth["session_id"] == "walk0"]
