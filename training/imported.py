@@ -101,11 +101,11 @@ def _covariances(table: pd.DataFrame, path: Path) -> "pd.Series[Any]":
     stated = table["covariance"].dropna()
     numbers = stated.map(covariance_numbers)
     if numbers.isna().any():
-        row = numbers.isna().idxmax()
-        found = stated[row]
+        row = int(np.flatnonzero(numbers.isna())[0])
+        found, frame_id = stated.iloc[row], table.loc[stated.index, "frame_id"].iloc[row]
         raise UserError(
             "a covariance of predictions isn't 36 numbers",
-            where=f"{path}, column covariance, frame {table['frame_id'][row]}",
+            where=f"{path}, column covariance, frame {frame_id}",
             expected="a list of 36 numbers, 6x6 row by row, or six lists of six",
             found=f"{type(found).__name__} {found!s:.60}",
         )
