@@ -30,7 +30,7 @@ from groundwalk.store.georeference import FILE
 from groundwalk.store.hints import of_scene, setting_of
 from groundwalk.store.images import verify_images
 from groundwalk.store.inputs import held
-from groundwalk.store.tables import CAMERA_COLUMNS
+from groundwalk.store.tables import CAMERA_COLUMNS, map_unit, scale_warning
 
 _PHONE = "phone"  # of a regressor, where the others are of ground truth
 _NOTE = "export.json"
@@ -145,6 +145,8 @@ def export(
             f"one camera a frame: those of one device and lens differ by up to {dataset.apart_px:.1f} px in a "
             f"corner of the image, more than {MAX_APART_PX} px (focus, stabilisation); format splat has one a device"
         )
+    if warning := scale_warning(map_unit(dataset.frames)):
+        said.append(f"warning: {warning}")
     if dataset.simulated:
         said.append("the captures are simulated, and export.json says so")
     elif reads_images:
@@ -168,6 +170,8 @@ def _export_regressor(
         refuse_changed()
     if regressor.simulated:
         said = [*said, f"the captures are simulated, and {MANIFEST} says so"]
+    warnings = {leaf: scale_warning(unit) for leaf, unit in regressor.units.items()}
+    said = [*(f"warning: {leaf}: {warning}" for leaf, warning in warnings.items() if warning), *said]
     for line in (f"{model} of {scene} as {_PHONE} → {out.absolute()}", *(f"  {line}" for line in said)):
         progress.console.print(line)
 

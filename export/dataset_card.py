@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.export.dataset import Dataset
-from groundwalk.store.choices import QualityClass
+from groundwalk.store.choices import MapUnit, PoseSource, QualityClass
 from groundwalk.store.files import sha256_of
+from groundwalk.store.tables import map_unit
 
 _LIMITS = (
     "Ground truth comes from structure from motion on the images themselves, held against odometry or a data set's own "
@@ -209,11 +210,13 @@ def _quality(dataset: Dataset) -> str:
     counts = ", ".join(f"{name} {int((frames['quality'] == name).sum())}" for name in classes)
     sources = ", ".join(sorted(set(frames["scale_source"].dropna())))
     position, rotation = (frames[name].median() for name in ("position_sd_m", "rotation_sd_deg"))
-    sigma = (
-        "Standard errors aren't known"
-        if pd.isna(position)
-        else f"Standard errors, median: {1000 * position:.2g} mm and {rotation:.2g} degrees in the least certain axis"
-    )
+    unit = map_unit(frames)
+    length = f"{1000 * position:.2g} mm" if unit is MapUnit.METRE else f"{position:.2g} {unit.symbol}"
+    sigma = f"Standard errors, median: {length} and {rotation:.2g} degrees in the least certain axis"
+    if pd.isna(position):
+        sigma = "Standard errors aren't known"
+    if (dataset.sessions["pose_source"] == PoseSource.NONE).all():
+        sigma = "Nothing but the images checks the map's shape, so no standard error is said"
     return f"Frames by quality class: {counts}. {sigma}. Metric scale: {sources}. Each frame has its 6x6 covariance."
 
 

@@ -37,7 +37,7 @@ COLUMNS = {
     "position": "camera centre x, y, z in the map (map_T_cam; camera axes x right, y down, z ahead)",
     "quaternion": "rotation of map_T_cam, x, y, z, w",
     "covariance": "6x6, row-major, of (rotation, position) in the map: rad, and the map's unit; empty where unknown",
-    "position_sd_m": "standard error of the position in its least certain axis, without scale and vertical",
+    "position_sd_m": "standard error of the position in its least certain axis, without scale and vertical, map's unit",
     "rotation_sd_deg": "standard error of the rotation about its least certain axis, without vertical, degrees",
     "quality": "quality class A, B or C of the pose",
     "reason": "why quality isn't A",

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from groundwalk.export.dataset import read_finished, world_of
 from groundwalk.geometry import Array
 from groundwalk.store import DataRoot, UserError
+from groundwalk.store.choices import MapUnit
 from groundwalk.store.hints import scene_file, setting_of
 from groundwalk.store.images import image_file, verify_images
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import dataset_frames, poses_of, read_table, with_cameras, with_gravity_of_map
+from groundwalk.store.tables import dataset_frames, map_unit, poses_of, read_table, with_cameras, with_gravity_of_map
 from groundwalk.training.build import Trained, load_trained
 
 
@@ -24,7 +25,8 @@ class TrainedRegressor:
     `card` is its row of train.models. `frames` are all frames that it predicted, N rows: import.frames with the split
     that training used, the scene, the image's `file`, the camera of the ground truth and, as stated_fx, the stated
     focal length. `map_T_cam` (N, 4, 4) is the ground truth, `predicted` (N, 4, 4) what it answered in training and
-    `covariance` (N, 6, 6) of its error, NaN where there is none. `worlds` says of each scene's map its unit and axes.
+    `covariance` (N, 6, 6) of its error, NaN where there is none. `worlds` says of each scene's map its unit and axes,
+    `units` its unit.
     """
 
     model: str
@@ -37,6 +39,7 @@ class TrainedRegressor:
     predicted: Array
     covariance: Array
     worlds: dict[str, str]
+    units: dict[str, MapUnit]
     simulated: bool
 
     def rows(self, split: str) -> NDArray[np.int64]:
@@ -66,9 +69,9 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
     trained = load_trained(folder / card["file"])
     predictions = read_table(folder / "predictions.parquet", schema("train", "predictions"))
     predictions = predictions[predictions["model"] == model]
-    parts, worlds = [], {}
+    parts, worlds, units = [], {}, {}
     for leaf in trained.scenes:
-        frames, worlds[leaf] = _frames(data, profile, leaf, manifest)
+        frames, worlds[leaf], units[leaf] = _frames(data, profile, leaf, manifest)
         parts.append(frames)
     columns = ["scene", "frame_id", "split", "covariance", *(c for c in predictions if str(c).startswith("map_cam_"))]
     answers = predictions[columns].rename(columns=lambda c: c.replace("map_cam_", "predicted_"))
@@ -86,12 +89,13 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
         poses_of(frames, "predicted"),
         np.array(given, float),
         worlds,
+        units,
         bool(manifest["simulated"]),
     )
 
 
-def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> tuple[pd.DataFrame, str]:
-    """A scene's frames with their files, cameras and ground truth, and unit and axes of its map."""
+def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> tuple[pd.DataFrame, str, MapUnit]:
+    """A scene's frames with their files, cameras and ground truth, unit and axes of its map, and the unit."""
     imported, _ = read_finished(data, profile, scene, "import", train)
     aligned, _ = read_finished(data, profile, scene, "align", train)
     frames = dataset_frames(read_table(imported / "frames.parquet", schema("import", "frames")))
@@ -103,4 +107,5 @@ def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> 
     captures = data.captures(scene)
     verify_images(captures, imported)
     files = [image_file(image, captures, imported) for image in frames["image"]]
-    return frames.assign(scene=scene, file=pd.Series(files, dtype=object), stated_fx=stated), world_of(truth)
+    frames = frames.assign(scene=scene, file=pd.Series(files, dtype=object), stated_fx=stated)
+    return frames, world_of(truth), map_unit(truth)

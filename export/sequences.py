@@ -14,8 +14,9 @@ from groundwalk.export.dataset import WORLD_T_MAP, Dataset, Images, numbers, wri
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import inverse, quaternion_from_matrix, tq_from_pose
 from groundwalk.store import UserError
+from groundwalk.store.tables import map_unit
 
-_POSES = "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z []"
+_POSES = "#timestamp [ns],p_x [{0}],p_y [{0}],p_z [{0}],q_w [],q_x [],q_y [],q_z []"
 _HEADER = ("Visual Landmark Dataset V1", "ImageFile, Camera Position [X Y Z W P Q R]", "")
 
 
@@ -65,7 +66,7 @@ def write_euroc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
                 do="export as splat or tum, or record the session with one lens, without zoom",
             )
         session = folder / quote(str(session_id), safe="") / "mav0"
-        listed, poses = ["#timestamp [ns],filename"], [_POSES]
+        listed, poses = ["#timestamp [ns],filename"], [_POSES.format(map_unit(dataset.frames).symbol)]
         for row in rows:
             t_ns = dataset.frames["t_ns"].iloc[row]
             x, y, z, w = quaternion[row]

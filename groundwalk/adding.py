@@ -16,6 +16,7 @@ import typer
 from groundwalk.cli import stage_of
 from groundwalk.pipeline import Step, run_steps
 from groundwalk.store import progress
+from groundwalk.store.choices import MapUnit
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import CHANGE, KEY_FILE, link_or_copy, partial_folder, read_json, swap_in, write_json
@@ -26,7 +27,7 @@ from groundwalk.store.manifests import MANIFEST, listed_files, load_manifest
 from groundwalk.store.outdated import is_up_to_date
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
-from groundwalk.store.tables import read_table
+from groundwalk.store.tables import map_unit, read_table
 
 app = new_app("Recordings into a finished ground truth, or out of it.")
 _STAGES = ("import", "sfm", "align")
@@ -186,8 +187,11 @@ def _tell(data: DataRoot, profile: str, scene: str) -> None:
         run_steps([Step("report", scene)], profile, data)
     versions = read_table(data.run(profile, scene, "align") / "versions.parquet", schema("align", "versions"))
     number = int(versions["version"].max())
+    truth = read_table(data.run(profile, scene, "align") / "ground_truth.parquet", schema("align", "ground_truth"))
+    is_metric = map_unit(truth) is MapUnit.METRE
     for row in versions[versions["version"] == number].to_dict("records"):
-        sd = f", median standard deviation {1000 * row['position_sd_m']:.1f} mm" if row["with_ground_truth"] else ""
+        is_known = is_metric and row["with_ground_truth"]
+        sd = f", median standard deviation {1000 * row['position_sd_m']:.1f} mm" if is_known else ""
         classes = ", ".join(f"{name} {row[f'quality_{name}']}" for name in "ABC")
         has = ", which had" if row["change"] == "removed" else ","
         progress.stdout.print(

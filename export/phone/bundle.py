@@ -77,7 +77,9 @@ def write_bundle(regressor: TrainedRegressor, folder: Path) -> list[str]:
         "quantisation": {**asdict(quantised), "processor": platform.processor() or platform.machine()},
         "notes": notes,
     }
-    (folder / "README.md").write_text(readme(about, inputs.preprocessing, errors), encoding="utf-8")
+    (folder / "README.md").write_text(
+        readme(about, inputs.preprocessing, errors, regressor.units.values()), encoding="utf-8"
+    )
     write_manifest(folder, about)
     sizes = ", ".join(f"{name} {file.stat().st_size / 2**20:.1f} MiB" for name, file in networks.items())
     return [f"networks: {sizes}; recommended: {about['network']}", *notes]
@@ -90,7 +92,7 @@ def frame_of(regressor: TrainedRegressor) -> dict[str, Any]:
         "maps": regressor.worlds,
         "camera": {"x": "right", "y": "down", "z": "forward", "of": "the image as the sensor delivers it"},
         "arkit_camera": "x right, y up, z backward: multiply map_T_cam from the right by diag(1, -1, -1, 1)",
-        "covariance": "of (rotation, position) in the map's axes, rad and m, 6x6 row-major",
+        "covariance": "of (rotation, position) in the map's axes, rad and the map's unit, 6x6 row-major",
     }
 
 

@@ -1,9 +1,10 @@
 """The README.md of a bundle."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from groundwalk.runtime.preprocessing import Preprocessing
+from groundwalk.store.choices import MapUnit
 
 _STEPS = {
     "pinhole": "resample to a pinhole camera with the image's aspect, {short_side_px} px on the shorter side, focal "
@@ -45,7 +46,7 @@ An image is {size} px or of the same shape, RGB, as the sensor delivers it: not 
 
 {steps}
 
-The network's outputs are `position` (1, 3) in metres, `quaternion` (1, 4) x y z w, `scene` (1), an index of `scenes` in
+The network's outputs are `position` (1, 3) in {unit}, `quaternion` (1, 4) x y z w, `scene` (1), an index of `scenes` in
 `bundle.json`, and from some networks `covariance` (1, 6, 6). `frame.json` says what the axes are. `golden/golden.json`
 has queries with the output of each step and of each network, and how far a port may be off.
 
@@ -60,8 +61,11 @@ has queries with the output of each step and of each network, and how far a port
 {notes}"""
 
 
-def readme(about: Mapping[str, Any], preprocessing: Preprocessing, errors: Mapping[str, Any]) -> str:
-    """What the bundle is and how to use it, for a person who has nothing else."""
+def readme(
+    about: Mapping[str, Any], preprocessing: Preprocessing, errors: Mapping[str, Any], units: Collection[MapUnit]
+) -> str:
+    """What the bundle is and how to use it, for a person who has nothing else; `units` are its maps'."""
+    symbol = max(units, key=lambda unit: unit is not MapUnit.METRE).symbol
     scenes = ", ".join(about["scenes"])
     size = "{width_px} x {height_px}".format(**preprocessing.image)
     steps = "\n".join(
@@ -81,12 +85,13 @@ def readme(about: Mapping[str, Any], preprocessing: Preprocessing, errors: Mappi
     reduced = f"\nIt is smaller than in its paper: {about['reduced']}.\n" if about["reduced"] else ""
     notes = "".join(f"- {note}\n" for note in about["notes"])
     accuracy = (
-        f"\nOn the {errors['frames']} test frames it is wrong by {errors['position_median_m']:.2f} m and "
-        f"{errors['rotation_median_deg']:.1f} degrees (medians; means {errors['position_mean_m']:.2f} m, "
+        f"\nOn the {errors['frames']} test frames it is wrong by {errors['position_median_m']:.2f} {symbol} and "
+        f"{errors['rotation_median_deg']:.1f} degrees (medians; means {errors['position_mean_m']:.2f} {symbol}, "
         f"{errors['rotation_mean_deg']:.1f} degrees), in float32.\n"
         if errors
         else ""
     )
+    unit = "metres" if symbol == "m" else "map units, as not all maps are metric"
     texts = {name: about[name] for name in ("label", "written_by", "profile")}
-    parts = {"scenes": scenes, "size": size, "steps": steps, "files": files, "notes": notes}
+    parts = {"scenes": scenes, "size": size, "steps": steps, "files": files, "notes": notes, "unit": unit}
     return _README.format(**texts, **parts, simulated=simulated, reduced=reduced, accuracy=accuracy)

@@ -1,6 +1,7 @@
 """Each export read back by the reader of its format, to 1e-6 of the ground truth."""
 
 import json
+import re
 import shutil
 from collections import Counter
 from collections.abc import Iterable
@@ -26,7 +27,7 @@ from groundwalk.export import command, huggingface
 from groundwalk.export.__main__ import app
 from groundwalk.export.colmap import camera_fields, write_hloc
 from groundwalk.export.dataset import Dataset, load_dataset
-from groundwalk.export.dataset_card import _privacy
+from groundwalk.export.dataset_card import _privacy, _quality
 from groundwalk.export.exporters import EXPORTERS
 from groundwalk.export.huggingface import _encoded
 from groundwalk.geometry.cameras import Camera
@@ -507,12 +508,19 @@ def test_a_map_of_unknown_unit_and_vertical_is_exported_as_such(
     origin = dict(zip("xyz", (4186460.0, 834910.0, 4723430.0), strict=True)) if scale_source != "none" else {}
     figures = load_manifest(align)["figures"] | {f"map_origin_{axis}": origin.get(axis) for axis in "xyz"}
     note_outputs(align, figures=figures)
-    out = _export(scene, "nerfstudio", "--images", "copy")
+    out, said = _exported(scene, "nerfstudio", "--images", "copy")
+    assert f"warning: NO METRIC SCALE: positions are in {unit}, not in metres" in said
     note = json.loads((out / "export.json").read_text())
     assert note["map"].startswith(unit) and "up unknown" in note["map"]
     assert ("add map_origin" in note["map"]) == bool(origin)
     assert note["map_origin"] == (list(origin.values()) or None)
     assert {(s.is_metric, s.is_gravity_aligned) for s in _sessions(out)} == {(False, False)}
+    dataset = load_dataset(scene, "tiny", "Place")
+    assert re.search(r"median: [\d.e-]+ map units and", _quality(dataset))
+    alone = replace(dataset, sessions=dataset.sessions.assign(pose_source="none"))
+    assert "no standard error is said. Metric scale" in _quality(alone)
+    for path in _export(scene, "euroc").rglob("state_groundtruth_estimate0/data.csv"):
+        assert "p_x [map units]" in path.read_text()
 
 
 @pytest.mark.parametrize("name", EXPORTERS)

@@ -16,6 +16,7 @@ from groundwalk.pipeline import is_step_up_to_date, steps
 from groundwalk.store import DataRoot, UserError, execute, stage
 from groundwalk.store.files import hash_files
 from groundwalk.store.tables import poses_of
+from tests.known import put
 from tests.sfm.textured_room import make_recording
 
 _STAGES = ("import", "sfm", "align")
@@ -112,6 +113,16 @@ def test_an_added_walk_leaves_the_others_as_they_are_and_can_be_taken_out(data: 
         [3, "removed", "three"],
     ]
     assert (data.captures("room") / ".removed" / "three" / "frames.jsonl").is_file()
+
+
+def test_no_millimetres_are_told_of_a_map_without_metric_scale(
+    data: DataRoot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    adding._tell(data, "tiny", "room")
+    assert "median standard deviation" in capsys.readouterr().out
+    put(data, "room", "align", "ground_truth", _truth(data).assign(scale_source="none"))
+    adding._tell(data, "tiny", "room")
+    assert "version 1: one built" in (said := capsys.readouterr().out) and "deviation" not in said
 
 
 @pytest.mark.slow

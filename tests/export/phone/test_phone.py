@@ -17,11 +17,14 @@ from groundwalk.export.__main__ import app
 from groundwalk.export.phone import bundle, networks, quantisation
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.phone.quantisation import HeldOut, Measured
+from groundwalk.export.phone.readme import readme
 from groundwalk.export.regressor import load_regressor
 from groundwalk.runtime import open_bundle
 from groundwalk.runtime.bundle import onnx_session
+from groundwalk.runtime.preprocessing import Preprocessing
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.choices import MapUnit
 from groundwalk.store.tables import poses_of
 from groundwalk.training.build import Trained
 from groundwalk.training.definition import STAGE
@@ -32,6 +35,7 @@ from groundwalk.training.regressors import REGRESSORS
 from tests.picture_wall import write_scene
 
 open_session = partial(onnx_session, threads=1)
+UNITS = (("position", "m"), ("rotation", "deg"))
 INTRINSICS = [50.0, 50.0, 32.0, 24.0]
 
 
@@ -66,6 +70,16 @@ def test_int8_is_a_quarter_and_no_file_is_unlisted(wall_bundle: Path) -> None:
     assert manifest["quantisation"]["int8"]["milliseconds"] < manifest["quantisation"]["fp32"]["milliseconds"]
     text = (wall_bundle / "README.md").read_text()
     assert "simulated" in text and "crop 32 instead of 224" in text and "5 test frames" in text
+
+
+def test_a_readme_gives_no_metres_of_a_map_without_metric_scale() -> None:
+    about = dict.fromkeys(("label", "written_by", "profile", "reduced", "network", "coreml", "simulated"), "")
+    errors = {f"{name}_{of}_{unit}": 0.4 for name, unit in UNITS for of in ("median", "mean")} | {"frames": 4}
+    more = {"scenes": ["Photos"], "networks": {}, "notes": []}
+    preprocessing = Preprocessing({"width_px": 64, "height_px": 48}, {}, ())
+    for unit, said in ((MapUnit.METRE, ("0.40 m and", "in metres")), (MapUnit.SFM, ("0.40 map units", "in map units"))):
+        text = readme(about | more, preprocessing, errors, [unit])
+        assert all(words in text for words in said) and ("metres" in text) == (unit is MapUnit.METRE)
 
 
 def test_what_is_not_an_earlier_bundle_is_left_alone(trained_wall: Path, wall_bundle: Path, tmp_path: Path) -> None:
