@@ -178,7 +178,7 @@ def write_kapture(dataset: Dataset, folder: Path, images: Images) -> list[str]:
         rows, sensors, poses, records = np.flatnonzero(in_part), dict[str, str](), list[str](), list[str]()
         for row in rows:
             session_id = frames["session_id"].iloc[row]
-            # Frames share a camera where focus and lens stayed the same; an id in both parts would be one camera when merged.
+            # Frames share a camera where focus and lens stayed the same; merges keep one camera of an id.
             unused = f"{name}-{quote(session_id, safe='')}-{len(sensors)}"
             device = sensors.setdefault(f"{session_id}\n{cameras[row]}", unused)
             x, y, z, w = quaternion[row]
