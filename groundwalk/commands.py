@@ -85,13 +85,15 @@ def closing_lines(verdict: dict[str, Any]) -> Iterator[str]:
         drift = min(drifts, key=lambda row: abs(row["distance_m"] - 5))
         over = f"{drift['median_percent']:.2g} % off over {drift['distance_m']:g} m (median)"
         yield f"VIO: {over}, {headline['vio_jumps']} jumps"
+    tested = sum(frame["split"] == "test" and frame["quality"] != "none" for frame in verdict["frames"])
     for kind, fused in (("structure localiser", False), ("regressor", True)):
         known = [row for row in verdict["localisers"] if row["kind"] == kind and row["median_position"] is not None]
         for best in sorted(known, key=lambda row: (row["fused"] != fused, row["median_position"]))[:1]:
             figures = f"median {best['median_position']:g} {unit}, {best['median_rotation_deg']:g}°"
             alone = {row["model"]: row["median_position"] for row in known if best["fused"] and not row["fused"]}
             text = f"; alone {alone[best['model']]:g} {unit}" if best["model"] in alone else ""
-            yield f"best {kind}: {best['localiser']}: {figures}, {best['coverage']:g} % have a pose{text}"
+            over = f" of {best['frames']} test frames" * (best["frames"] < tested)
+            yield f"best {kind}: {best['localiser']}: {figures}, {best['coverage']:g} %{over} have a pose{text}"
 
 
 @app.command()
@@ -158,13 +160,17 @@ def compare(
     runs: Annotated[list[str], typer.Argument(help="Two runs or more: scenes' names, or folders of runs.")],
     out: Annotated[Path, typer.Option(help="The page to write.")] = Path("compare.html"),
     fail_if_worse: Annotated[
-        str, typer.Option(help="Exit with 1 where a figure is worse by more than this, and by more than noise: 5%.")
+        str,
+        typer.Option(
+            help="Exit with 1 where a figure is worse by more than this, and by more than noise: 5%. Also where a run "
+            "lacks frames, models, methods or metric scale that the first one has."
+        ),
     ] = "",
     profile: ProfileOption = "demo",
     data: DataOption = Path("data"),
 ) -> None:
     """Compare runs with the first of them: what was done differently, and which figures differ by more than noise."""
-    from groundwalk.reports.comparison import comparison_page, differences
+    from groundwalk.reports.comparison import comparison_page, differences, lost_scale, missing, why_no_positions
 
     try:
         limit = float(fail_if_worse.removesuffix("%")) if fail_if_worse else None
@@ -180,10 +186,23 @@ def compare(
     compared = [_compared(run, name, profile, data) for run, name in zip(runs, names, strict=True)]
     if len({run.name for run in compared}) < len(compared):
         raise UserError("a run was named twice", found=", ".join(run.name for run in compared))
-    found = [difference for other in compared[1:] for difference in differences(compared[0], other)]
+    first, *others = compared
+    found = [difference for other in others for difference in differences(first, other)]
+    if not found:
+        has = (f"{r.name}: {len(r.ground_truth)} of align, {r.errors['frame_id'].nunique()} of fuse" for r in compared)
+        raise UserError(
+            "these runs have no frame in common",
+            expected="the same captures, with align finished",
+            found=f"frames of {'; '.join(has)}",
+            do="run the stages that are missing, or compare other runs",
+        )
+    lost = [missed for other in others for missed in missing(first, other)]
+    lacking = [*lost, *(missed for other in others for missed in missing(other, first))]
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, written_aside(out) as path:
-        path.write_text(comparison_page(compared, found, Path(folder)), encoding="utf-8")
+        path.write_text(comparison_page(compared, found, lacking, Path(folder)), encoding="utf-8")
+    for line in (*filter(None, (why_no_positions(first, other) for other in others)), *lacking):
+        progress.stdout.print(str(line))
     for difference in found:
         if difference.is_clear:
             told = f"{difference.verdict}: {difference.run}: {difference.subject}: {difference.figure}"
@@ -191,7 +210,8 @@ def compare(
     same = sum(not difference.is_clear for difference in found)
     progress.stdout.print(f"{same} of {len(found)} figures don't differ by more than noise")
     progress.stdout.print(str(out))
-    if limit is not None and any(difference.is_worse_by(limit) for difference in found):
+    is_less = lost or any(lost_scale(first, other) for other in others)
+    if limit is not None and (is_less or any(difference.is_worse_by(limit) for difference in found)):
         raise typer.Exit(1)
 
 
@@ -214,7 +234,7 @@ def _compared(run_name: str, name: str, profile: str, data: Path) -> "ComparedRu
     return ComparedRun(
         name=name,
         manifests=run.manifests,
-        unit=map_unit(truth).symbol,
+        unit=map_unit(truth),
         ground_truth=truth,
         errors=table("fuse", "errors"),
         validation=table("fuse", "validation"),

@@ -4,12 +4,15 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
 from groundwalk.reports.grids import EMPTY, OURS, PUBLISHED
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD, PrintedTables
-from groundwalk.reports.statistics import scene_scores
+from groundwalk.reports.statistics import compared, scene_scores
+from groundwalk.scoring.bootstrap import drawn_figures, draws, interval
+from groundwalk.scoring.errors import sure_enough
 from groundwalk.scoring.scores import SUBSETS
 
 TABLE_I, TABLE_II, TABLE_III, TABLE_IV = "I", "II", "III", "IV"
@@ -169,12 +172,14 @@ def published_cells(tables: PrintedTables, scenes: list[SceneInputs]) -> pd.Data
 
 @dataclass(frozen=True)
 class LocaliserErrors:
-    """What a localiser reaches over all test frames, alone or with the method that is ahead, as Table IV prints it."""
+    """What a localiser reaches over the `frames` of Table IV, alone or with the method that is ahead, as it is printed
+    there."""
 
     model: str
     name: str
     is_structure: bool
     is_fused: bool
+    frames: int
     position: str
     rotation: str
     levels: str
@@ -189,13 +194,15 @@ def localiser_errors(scene: SceneInputs, cells: pd.DataFrame) -> Iterator[Locali
     for model in scene.models:
         for method in dict.fromkeys([RAW_METHOD, scene.best(model)]):
             of_method = ours[(ours["model"] == model) & (ours["method"] == method)]
-            text = of_method.set_index(["statistic", "quantity"])["text"]
+            found = of_method.set_index(["statistic", "quantity"])
+            text = found["text"]
             if method is not None and len(text):
                 yield LocaliserErrors(
                     model=model,
                     name=scene.label(model) + (scene.method_labels[method] or ", alone"),
                     is_structure=model in set(scene.localisers["model"]),
                     is_fused=method not in scene.raw_methods,
+                    frames=int(found["source_rows"]["coverage", "frames"]),
                     position=text["median", "translation"],
                     rotation=text["median", "rotation"],
                     levels="/".join(text["level", level] for level in LEVELS),
@@ -206,10 +213,21 @@ def localiser_errors(scene: SceneInputs, cells: pd.DataFrame) -> Iterator[Locali
 
 def _interval(scene: SceneInputs, model: str, method: str) -> str:
     """The bounds of the median position error in time, where fuse took test frames alone."""
-    i = scene.intervals
-    found = i[(i["model"] == model) & (i["method"] == method) & (i["subset"] == "all")]
-    found = found[found["figure"] == "position_median_m"][["low", "high"]].astype(float)
+    tables = (scene.intervals, scene.errors, compared(scene.errors))
+    found, errors, over = (t[(t["model"] == model) & (t["method"] == method)] for t in tables)
+    found = found[(found["subset"] == "all") & (found["figure"] == "position_median_m")][["low", "high"]].astype(float)
+    if len(over) < len(errors):  # fuse's is over walks, too, in which nothing is fused
+        found = _drawn_interval(over)
     if set(scene.errors["split"]) != {"test"} or found.empty or found.iloc[0].isna().all():
         return EMPTY
     low, high = found.iloc[0]
     return f"{number(low, digits_of(low))} to {'infinite' if math.isnan(high) else number(high, digits_of(high))}"
+
+
+def _drawn_interval(errors: pd.DataFrame) -> pd.DataFrame:
+    """That of rows of fuse.errors as fuse.intervals has it; none of a single walk."""
+    walks, walk = np.unique(errors["session_id"].to_numpy(object), return_inverse=True)
+    position, rotation = (errors[f"live_{name}"].to_numpy(float) for name in ("position_m", "rotation_deg"))
+    figures = dict(drawn_figures(position, rotation, sure_enough(errors["quality"]), draws(len(walks))[:, walk]))
+    bounds = interval(figures["position_median_m"][1:])
+    return pd.DataFrame([bounds] * (len(walks) > 1), columns=["low", "high"], dtype=float)

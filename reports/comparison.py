@@ -19,11 +19,14 @@ from groundwalk.reports.grids import EMPTY, Grid, html_table, plain_grid
 from groundwalk.reports.templating import plain_page
 from groundwalk.scoring.bootstrap import CONFIDENCE, DRAWS, drawn_figures, draws
 from groundwalk.scoring.errors import sure_enough
+from groundwalk.store.choices import MapUnit
+from groundwalk.store.tables import poses_of
 
 BLOCK = 10
 """Consecutive frames of a walk that are drawn together."""
 MIN_BLOCKS = 3
 _TRUTH, _ALONE = "ground truth", "raw"
+_KEYS = ["scene", "session_id", "t_ns", "frame_id"]  # of a frame, by which runs are paired
 # What is compared, of drawn_figures, and what it's called of each.
 _COMPARED = ("coverage_pct", "position_median_m", "rotation_median_deg")
 _NAMES = {
@@ -39,7 +42,7 @@ class ComparedRun:
 
     name: str
     manifests: dict[str, dict[str, Any]]
-    unit: str
+    unit: MapUnit
     ground_truth: pd.DataFrame
     errors: pd.DataFrame
     validation: pd.DataFrame
@@ -85,20 +88,74 @@ class Difference:
         return self.is_worse and not abs(self.percent) <= percent
 
 
+@dataclass(frozen=True)
+class Missing:
+    """How many of the `of` frames that the run `has` has of a subject are missing in another."""
+
+    run: str
+    subject: str
+    frames: int
+    of: int
+    has: str
+
+    def __str__(self) -> str:
+        return f"missing: {self.run}: {self.subject}: {self.frames} of the {self.of} frames of {self.has}"
+
+
+@dataclass(frozen=True)
+class _Subject:
+    """What runs are compared by: its name, the kind of its figures, and its frames in the first and the other run."""
+
+    name: str
+    kind: str
+    first: pd.DataFrame
+    other: pd.DataFrame
+
+
 def differences(first: ComparedRun, other: ComparedRun) -> list[Difference]:
     """The figures of two runs, ground truth's and then each localiser's, alone and as the first run's report shows it
-    fused, as far as both have them."""
-    sigmas = (
-        run.ground_truth.assign(
-            scene="", position=run.ground_truth["position_sd_m"], rotation=run.ground_truth["rotation_sd_deg"]
-        )
-        for run in (first, other)
-    )
-    found = list(_paired(other.name, _TRUTH, _TRUTH, *sigmas))
+    fused, as far as both have them; of positions where both are in one unit."""
+    figures = [name for name in _COMPARED if "position" not in name or not why_no_positions(first, other)]
+    return [found for subject in _subjects(first, other) for found in _paired(other.name, subject, figures)]
+
+
+def missing(first: ComparedRun, other: ComparedRun) -> list[Missing]:
+    """What the other run lacks of what `differences` compares of the first."""
+    found = []
+    for subject in _subjects(first, other):
+        merged = subject.first[_KEYS].merge(subject.other[_KEYS], how="left", indicator=True)
+        if lost := int((merged["_merge"] == "left_only").sum()):
+            found.append(Missing(other.name, subject.name, lost, len(merged), first.name))
+    return found
+
+
+def why_no_positions(first: ComparedRun, other: ComparedRun) -> str:
+    """Why positions of two runs aren't compared; empty where they are. Each map of SfM has a unit of its own."""
+    if first.ground_truth.empty or other.ground_truth.empty:
+        return ""
+    before, after = (poses_of(run.ground_truth, "map_cam") for run in (first, other))
+    if first.unit is other.unit and (first.unit is not MapUnit.SFM or np.array_equal(before, after, equal_nan=True)):
+        return ""
+    units = f"{other.name} is in {other.unit}, {first.name} in {first.unit}"
+    own = ", which is another in each map" if first.unit is other.unit else ""
+    return f"positions aren't compared: {units}{own}"
+
+
+def lost_scale(first: ComparedRun, other: ComparedRun) -> bool:
+    """Whether the first run's positions are in metres, and the other's aren't."""
+    return first.unit is MapUnit.METRE and other.unit is not MapUnit.METRE
+
+
+def _subjects(first: ComparedRun, other: ComparedRun) -> Iterator[_Subject]:
+    """The first run's subjects."""
+    yield _Subject(_TRUTH, _TRUTH, *(_sigmas(run.ground_truth) for run in (first, other)))
     for model, method in _models_and_methods(first):
         name = f"{model}, alone" if method == _ALONE else f"{model} with {method}"
-        found += _paired(other.name, name, _ALONE, *(_errors(run.errors, model, method) for run in (first, other)))
-    return found
+        yield _Subject(name, _ALONE, *(_errors(run.errors, model, method) for run in (first, other)))
+
+
+def _sigmas(truth: pd.DataFrame) -> pd.DataFrame:
+    return truth.assign(scene="", position=truth["position_sd_m"], rotation=truth["rotation_sd_deg"])
 
 
 def _models_and_methods(run: ComparedRun) -> Iterator[tuple[str, str]]:
@@ -119,10 +176,9 @@ def _errors(errors: pd.DataFrame, model: str, method: str) -> pd.DataFrame:
     return rows.assign(position=rows[f"{prefix}position_m"], rotation=rows[f"{prefix}rotation_deg"])
 
 
-def _paired(run: str, subject: str, kind: str, before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
-    keys = ["scene", "session_id", "t_ns", "frame_id"]
-    columns = [*keys, "position", "rotation", "quality"]
-    both = before[columns].merge(after[columns], on=keys, suffixes=("_0", "_1")).sort_values(keys)
+def _paired(run: str, subject: _Subject, figures: list[str]) -> Iterator[Difference]:
+    columns = [*_KEYS, "position", "rotation", "quality"]
+    both = subject.first[columns].merge(subject.other[columns], on=_KEYS, suffixes=("_0", "_1")).sort_values(_KEYS)
     if both.empty:
         return
     walks = both.groupby(["scene", "session_id"])
@@ -139,12 +195,13 @@ def _paired(run: str, subject: str, kind: str, before: pd.DataFrame, after: pd.D
         )
         for side in (0, 1)
     )
-    for figure, name in zip(_COMPARED, _NAMES[kind], strict=True):
+    for figure in figures:
+        name = _NAMES[subject.kind][_COMPARED.index(figure)]
         low, high = np.nan, np.nan
         if blocks.max() + 1 >= MIN_BLOCKS:
             low, high = _bounds(first[figure][1:], other[figure][1:])
         numbers = (float(first[figure][0]), float(other[figure][0]), low, high)
-        yield Difference(run, subject, name, len(both), *numbers, more_is_better=figure == "coverage_pct")
+        yield Difference(run, subject.name, name, len(both), *numbers, more_is_better=figure == "coverage_pct")
 
 
 def _bounds(before: Array, after: Array) -> tuple[float, float]:
@@ -203,6 +260,14 @@ def figures_grid(found: list[Difference], unit: str) -> Grid | None:
     return plain_grid("figures", "Figures", caption, heads, rows, 4)
 
 
+def missing_grid(lacking: list[Missing]) -> Grid | None:
+    """The frames that only one of two runs has."""
+    rows = [[m.run, m.subject, m.has, m.frames, m.of] for m in lacking]
+    caption = "Frames that a run has and the other lacks; no figure counts them."
+    heads = "missing in | of | has them | frames missing | frames there"
+    return plain_grid("missing", "What only one of the runs has", caption, heads, rows, 3)
+
+
 def picture(found: list[Difference], folder: Path) -> str:
     """The changes in percent with their intervals, as SVG, of several runs only those larger than noise, which are
     dark; empty where there are none."""
@@ -226,17 +291,18 @@ def picture(found: list[Difference], folder: Path) -> str:
     return style.save(figure, folder, "compare")
 
 
-def comparison_page(runs: list[ComparedRun], found: list[Difference], folder: Path) -> str:
+def comparison_page(runs: list[ComparedRun], found: list[Difference], lacking: list[Missing], folder: Path) -> str:
     """The page as HTML; `folder` is for the picture's files."""
     banner = Markup('<p class="banner">{}</p>')
     parts = []
     if len({str(run.manifests.get("import", {}).get("inputs")) for run in runs}) > 1:
         parts.append(banner.format("The captures differ: frames are paired by their names, whatever they show."))
-    if not found:
-        parts.append(banner.format("These runs have no frames in common: there is nothing to compare but settings."))
-    else:
-        clear = sum(d.is_clear for d in found)
-        parts.append(Markup(f"<p>{clear or 'None'} of {len(found)} figures differ by more than noise.</p>"))
+    for why in filter(None, (why_no_positions(runs[0], other) for other in runs[1:])):
+        parts.append(banner.format(f"{why[0].upper()}{why[1:]}."))
+    if lacking:
+        parts.append(banner.format("Only one of the runs has some frames: all figures are over the others."))
+    clear = sum(d.is_clear for d in found)
+    parts.append(Markup(f"<p>{clear or 'None'} of {len(found)} figures differ by more than noise.</p>"))
     if drawn := picture(found, folder):
         caption = (
             "Each figure's change with its 95 % interval; grey: not larger than noise."
@@ -244,6 +310,7 @@ def comparison_page(runs: list[ComparedRun], found: list[Difference], folder: Pa
         )
         shown = Markup('<figure class="picture wide">{}<figcaption>{}</figcaption></figure>')
         parts.append(shown.format(Markup(drawn), caption))
-    parts += [html_table(figures_grid(found, runs[0].unit)), html_table(settings_that_differ(runs))]
+    grids = (missing_grid(lacking), figures_grid(found, runs[0].unit.symbol), settings_that_differ(runs))
+    parts += map(html_table, grids)
     others = runs[1].name if len(runs) == 2 else f"{len(runs) - 1} other runs"
     return plain_page(f"{runs[0].name} against {others}", "comparison", parts)

@@ -13,7 +13,7 @@ class ReportSettings(Settings):
 
 STAGE = Stage(
     name="report",
-    version=23,
+    version=24,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import",),

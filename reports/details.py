@@ -12,7 +12,7 @@ from groundwalk.reports.cells import LEVELS, LocaliserErrors, digits_of, number
 from groundwalk.reports.grids import EMPTY, Grid, plain_grid
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.run_checks import AGREES
-from groundwalk.reports.statistics import by_walk
+from groundwalk.reports.statistics import by_walk, compared
 from groundwalk.reports.verdict import Problem, Verdict, usual_drift
 from groundwalk.scoring.errors import SURE_CLASSES
 from groundwalk.store.choices import MapUnit, Rejected
@@ -44,7 +44,10 @@ def overview(scene: SceneInputs, verdict: Verdict, found: list[LocaliserErrors])
     best = min(alone, key=lambda row: float(row.position), default=None)
     fused = next((row for row in found if best and row.model == best.model and row.is_fused), None)
     errors = [
-        f"{row.name.removesuffix(', alone')}: {row.position} {scene.unit.symbol}, {row.rotation}°" if row else EMPTY
+        f"{row.name.removesuffix(', alone')}: {row.position} {scene.unit.symbol}, {row.rotation}°"
+        + f", {row.frames} of {scene.scored_frames} frames" * (row.frames < scene.scored_frames)
+        if row
+        else EMPTY
         for row in (best, fused)
     ]
     kind, half = "simulated" if scene.simulated else "real", f"{_figure(sigma)} {unit}" if sigma == sigma else EMPTY
@@ -68,16 +71,17 @@ def headline(scene: SceneInputs, found: list[LocaliserErrors]) -> Grid | None:
         f"localiser | median position ({scene.unit.symbol}) | median rotation (°) | high/medium/low (%) | coverage (%)"
     )
     rows = [[r.name, r.position, r.rotation, r.levels, r.coverage, r.interval] for r in found]
-    truth = scene.ground_truth.loc[scene.ground_truth["frame_id"].isin(scene.errors["frame_id"])]
-    truth = truth[truth["split"] == "test"]
+    truth = scene.ground_truth[scene.ground_truth["frame_id"].isin(compared(scene.errors)["frame_id"])]
     registered = scene.images.loc[scene.images["registered"], "frame_id"]
     sd, joint = truth["position_sd_m"].median(), truth["frame_id"].isin(registered).sum()
     chosen = scene.validation[scene.validation["model"].isin([model for model in scene.models if scene.ahead(model)])]
     how = f" Methods were chosen by {chosen['frames'].max():.0f} frames held out of training." if len(chosen) else ""
+    fused = f"{len(truth)} test frames of sessions in which something is fused, of "
+    over = fused * (len(truth) < scene.scored_frames) + f"{scene.scored_frames} test frames with ground truth"
     caption = (
-        f"{'Simulated' if scene.simulated else 'Measured'}, over {scene.scored_frames} test frames with ground truth "
-        f"of {scene.test_frames}; coverage is the share of them that got a pose in time, and one without a pose counts "
-        f"as failed. The ground truth's own sigma there is {number(sd, 4)} {scene.unit.symbol} (median): an error of "
+        f"{'Simulated' if scene.simulated else 'Measured'}, over {over} of {scene.test_frames}; coverage is "
+        "the share of them that got a pose in time, and one without a pose counts as failed. "
+        f"The ground truth's own sigma there is {number(sd, 4)} {scene.unit.symbol} (median): an error of "
         f"that size says nothing. {joint} of these queries took part in the structure from motion that their ground "
         "truth is from, which flatters localisers by structure. 95 %: the median with other walks, by drawing the "
         f"sessions again; with few it says little.{how}"

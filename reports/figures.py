@@ -13,6 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from groundwalk.reports import style
 from groundwalk.reports.inputs import SceneInputs
+from groundwalk.reports.statistics import compared
 from groundwalk.store.choices import MapUnit
 
 Named = tuple[str, str, Figure]
@@ -99,12 +100,13 @@ def error_distributions(scene: SceneInputs) -> Named:
     """How many test frames lie within an error, a missing pose being a failure: each model alone, and fused in time."""
     figure, axes = style.new_figure(2, 2.1)
     colours = style.model_colours(scene)
+    shown = compared(scene.errors)
     quantities = (("position", "m", (0.25, 0.5, 5.0)), ("rotation", "deg", (2.0, 5.0, 10.0)))
     for ax, (quantity, unit, levels) in zip(axes, quantities, strict=True):
         for level in levels if scene.unit is MapUnit.METRE else ():
             ax.axvline(level, color=style.NEUTRAL, lw=0.8, ls=(0, (1, 2)))
         for model in scene.models:
-            alone = scene.raw_errors(model)
+            alone = shown[shown["model"] == model].drop_duplicates("frame_id")
             _cumulative(ax, alone, f"raw_{quantity}_{unit}", colours[model], "--" if scene.fuses else "-")
             if scene.fuses:
                 fused_errors = scene.frame_errors(model, scene.best(model))
@@ -119,7 +121,8 @@ def error_distributions(scene: SceneInputs) -> Named:
     if scene.fuses:
         fused = ", ".join(scene.label(m) + scene.method_labels.get(scene.best(m) or "", "") for m in scene.models)
         which = "all frames with VIO" if scene.unfused_sessions else "all frames"
-        caption += f" Dashed: alone, over all test frames; solid: {fused} in time, {which}."
+        over = "the same" if scene.unfused_sessions else "all test frames"
+        caption += f" Dashed: alone, over {over}; solid: {fused} in time, {which}."
     return "error-distribution", caption + " Dotted: the accuracy levels.", figure
 
 

@@ -14,6 +14,7 @@ from groundwalk.reports.cells import LocaliserErrors
 from groundwalk.reports.figures import Picture
 from groundwalk.reports.grids import Grid, html_table
 from groundwalk.reports.inputs import SceneInputs
+from groundwalk.reports.statistics import compared
 from groundwalk.reports.templating import from_template
 from groundwalk.reports.verdict import State, Verdict, usual_drift
 from groundwalk.reports.walk_map import data_address, draw, frame_data, thumbnail
@@ -38,6 +39,7 @@ class SceneSection:
     control_plot: str
     pictures: dict[str, list[Picture]]
     localiser_errors: list[LocaliserErrors]
+    compared_frames: int
     tables: dict[str, Markup]
     settings: list[tuple[str, str]]
 
@@ -134,6 +136,7 @@ def section(
         control_plot=data_address("png", scene.control_plot.read_bytes()) if scene.control_plot else "",
         pictures=pictures,
         localiser_errors=localiser_errors,
+        compared_frames=compared(scene.errors)["frame_id"].nunique(),
         tables={name: html_table(grid) for name, grid in grids.items()},
         settings=[
             (stage, json.dumps(manifest["settings"], indent=1, ensure_ascii=False))

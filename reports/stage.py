@@ -73,5 +73,6 @@ def _say(r: StageRun[ReportSettings], sections: list[page.SceneSection]) -> None
             r.say(f"{scene.name}: {why}")
         for of in section.localiser_errors:
             figures = f"median {of.position} {scene.unit.symbol}, {of.rotation}°; {of.coverage} % have a pose"
-            r.say(f"{scene.name}: {of.name}: {figures}")
+            over = f", over {of.frames} of {scene.scored_frames} test frames" * (of.frames < scene.scored_frames)
+            r.say(f"{scene.name}: {of.name}: {figures}{over}")
     r.say(f"page: {r.data.run(r.profile, r.scene.name, 'report') / 'page.html'}")

@@ -59,7 +59,7 @@ def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dic
             add(RAW_METHOD, "", subset, "subset", _scored(part, "raw_"))
             add(PAPER_METHOD, str(paper["options"].iloc[0]), subset, "subset", _scored(part, ""))
 
-    errors = errors[errors.groupby("frame_id")["frame_id"].transform("size") == errors["method"].nunique()]
+    errors = compared(errors)
     unanswered = errors["live_position_m"].isna() | errors["live_rotation_deg"].isna()
     missed = set(errors.loc[unanswered & ~errors["method"].isin(offline), "frame_id"])
     for method, part in errors.groupby("method", sort=False):
@@ -67,6 +67,14 @@ def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dic
         add(str(method), options, "all", "all", _scored(part, "live_"))
         add(str(method), options, "common", "subset", _scored(part[~part["frame_id"].isin(missed)], "live_"))
     return rows
+
+
+def compared(errors: pd.DataFrame) -> pd.DataFrame:
+    """Of rows of fuse.errors, those of test frames that all of a model's methods ran on: where only some test sessions
+    have VIO, and something is fused, those of these sessions."""
+    test = errors[errors["split"] == "test"]
+    ran = test.groupby(["model", "frame_id"])["method"].transform("size")
+    return test[ran == test.groupby("model")["method"].transform("nunique")]
 
 
 def by_walk(scene: SceneInputs) -> dict[tuple[str, str], Score]:

@@ -328,6 +328,7 @@ def _localiser(of: LocaliserErrors) -> dict[str, Any]:
         "model": of.model,
         "kind": "structure localiser" if of.is_structure else "regressor",
         "fused": of.is_fused,
+        "frames": of.frames,
         "median_position": position,
         "median_rotation_deg": rotation,
         "coverage": coverage,

@@ -171,12 +171,13 @@ for (const box of document.querySelectorAll(".frames")) {
     recall.querySelector(".about").before(make("label", { className: "key" }, [shown, line, `${name} `, share]));
     return { path, shown, share };
   });
+  const compared = new Set(data.compared);  // where only some sessions are fused, the frames of these
   const error = (step) => 10 ** (3 * step / 100 - 2);
   const count = () => {
     recall.querySelector("output").textContent = `${say(error(limit.value))} ${data.unit}`;
     recall.querySelector(".now").setAttribute("d", `M${10 * limit.value} 0V100`);
     data.recall.forEach(({ name, rows: tested }, i) => {
-      const asked = tested.filter((row) => !session.value || data.session[row] === session.value);
+      const asked = tested.filter((row) => session.value ? data.session[row] === session.value : compared.has(row));
       const errors = asked.map((row) => data.figures[name]?.[row] ?? Infinity);
       const within = (step) => 100 * errors.filter((e) => e <= error(step)).length / errors.length;
       const points = curves[i].shown.checked && errors.length ? Array.from({ length: 101 }, (_, step) => `${10 * step} ${(100 - within(step)).toFixed(1)}`) : [];

@@ -1,5 +1,6 @@
 """The report of made-up runs: its numbers against a recount, its tables' form, its page and its errors."""
 
+import json
 import re
 from collections.abc import Callable
 from html.parser import HTMLParser
@@ -13,6 +14,8 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from groundwalk.commands import closing_lines
+from groundwalk.fusion.evaluation.summary import intervals
 from groundwalk.reports import style
 from groundwalk.reports.definition import STAGE
 from groundwalk.reports.grids import Block, Grid, Row, latex, latex_text, markdown
@@ -485,6 +488,52 @@ def test_walks_without_vio_beside_others_are_scored_alone(make_run: MakeRun) -> 
     findings = pd.read_parquet(report / "checks.parquet")
     scored = findings[findings["check"] == "all_scored"]
     assert len(scored) == 6 and (scored["status"] == "agrees").all()
+
+
+@pytest.mark.usefixtures("no_figures")
+@pytest.mark.parametrize("alone", [("walk_4",), ("walk_3", "walk_4"), ()])
+def test_where_some_test_walks_have_vio_all_figures_are_of_those(
+    make_run: MakeRun, alone: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The regressor is ten times as far off in the walk without VIO."""
+    data = make_run(Hall={"without_vio": alone})
+    errors = table_of(data, "Hall", "fuse", "errors")
+    errors = errors[errors["split"] == "test"].reset_index(drop=True)
+    far = [column for column in errors.columns if column.endswith(("position_m", "rotation_deg"))]
+    errors.loc[errors["session_id"] == "walk_4", far] *= 10
+    rewrite(data, "Hall", "fuse", "errors", errors)
+    rewrite(data, "Hall", "fuse", "intervals", intervals(errors))
+    folder = execute(STAGE, "Hall", "tiny", data)
+    printed, page, verdict = capsys.readouterr().err, page_of(folder), read_json(folder / "verdict.json")
+    some = alone == ("walk_4",)
+    frames = 29 if some else 59
+    assert {row["frames"] for row in verdict["localisers"]} == {frames}
+    caption = page[page.index('id="headline-Hall"') :].split("</figcaption>")[0]
+    assert f"{frames} of these queries" in caption and "59 test frames with ground truth of 60" in caption
+    assert ("over 29 test frames of sessions in which something is fused, of 59" in caption) == some
+    assert ("over 29 of 59 test frames" in printed) == some == ("is fused: 29 of 59 frames<" in page)
+    assert ("% of 29 test frames have a pose" in "".join(closing_lines(verdict))) == some
+    raw = next(row for row in rows_of(folder, "headline-Hall") if row[0] == "PN, alone")
+    assert (raw[5] == "–") == some  # one walk has no interval
+    shown = json.loads(page.partition('<script type="application/json">')[2].partition("</script>")[0])
+    assert len(shown["compared"]) == frames
+    assert {shown["session"][row] for row in shown["compared"]} == {"walk_3", *([] if some else ["walk_4"])}
+
+
+def test_the_interval_is_over_the_walks_that_are_compared(make_run: MakeRun) -> None:
+    data = make_run(Hall={"without_vio": ("walk_4",)})
+    errors = table_of(data, "Hall", "fuse", "errors")
+    errors = errors[errors["split"] == "test"].reset_index(drop=True)
+    first = errors["frame_id"].isin(errors.loc[errors["session_id"] == "walk_3", "frame_id"].unique()[:12])
+    errors.loc[first, "session_id"] = "walk_5"
+    rewrite(data, "Hall", "fuse", "errors", errors)
+    fused = intervals(errors[errors["session_id"] != "walk_4"])
+    rewrite(data, "Hall", "fuse", "intervals", intervals(errors))
+    rows = {row[0]: row[5] for row in rows_of(report_without_figures(data, "Hall"), "headline-Hall")}
+    for method, name in (("raw", "PN, alone"), ("paper_rule", "PN+VIO")):
+        known = fused[(fused["model"] == "PN") & (fused["method"] == method) & (fused["subset"] == "all")]
+        low, high = known.loc[known["figure"] == "position_median_m", ["low", "high"]].iloc[0]
+        assert rows[name] == f"{low:.2f} to {high:.2f}"
 
 
 @pytest.mark.usefixtures("no_figures")
