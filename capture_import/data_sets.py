@@ -8,12 +8,21 @@ from typing import Any, TypeVar
 
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, Recording, Reject
 from groundwalk.capture_import.media.images import BadImage, image_size
-from groundwalk.capture_import.parsing import BadRow, images_in, in_order, inside, is_image, read_rows, seconds_to_ns
+from groundwalk.capture_import.parsing import (
+    SUFFIXES,
+    BadRow,
+    images_in,
+    in_order,
+    inside,
+    is_image,
+    read_rows,
+    seconds_to_ns,
+)
 from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import Clock, PoseSource, SessionSplit
-from groundwalk.store.files import read_json
+from groundwalk.store.files import leads_outside, read_json
 from groundwalk.store.simulated import EXPORT_NOTE
-from groundwalk.store.text import natural_order
+from groundwalk.store.text import natural_order, printable
 
 Row = TypeVar("Row")
 
@@ -29,7 +38,11 @@ def size_of(image: Path) -> tuple[int, int]:
         raise BadRow("image is missing, or no ordinary file")
     try:
         with image.open("rb") as file:
-            return image_size(file.read(1 << 16))
+            start = file.read(1 << 16)
+            try:
+                return image_size(start)
+            except BadImage:  # of a HEIC all is needed, and metadata of others may be larger
+                return image_size(start + file.read(1 << 26))
     except BadImage as error:
         raise BadRow(f"image {error}") from None
     except OSError as error:
@@ -113,6 +126,35 @@ def lost_images(names: Sequence[str]) -> str:
     return f"a folder with the {len(names)} images that it names, such as {names[0][:60]}," if names else "images/"
 
 
+def named_image(folders: Sequence[Path], name: Any) -> Path:
+    """The image that a data set names relative to the first of these folders, with or without its suffix; of a path on
+    another machine, as Windows parts names, too, the end that is in one of them. BadRow for a name that is no text or
+    leads elsewhere."""
+    parts = name.replace("\\", "/").split("/") if isinstance(name, str) else []
+    ends = [end for n in range(len(parts)) if (end := "/".join(parts[n:])) and not leads_outside(end)]
+    images = (_with_suffix(folder / end) for end in ends for folder in folders)
+    return next((image for image in images if image.is_file()), None) or _with_suffix(inside(folders[0], name))
+
+
+def _with_suffix(image: Path) -> Path:
+    if is_image(image):
+        return image
+    names = [image.name + end for suffix in SUFFIXES for end in (suffix, suffix.upper())]
+    there = [image.with_name(name) for name in names if image.with_name(name).is_file()]
+    return there[0] if there else image.with_name(image.name + ".png")
+
+
+def named_for_testing(folders: Sequence[Path], names: Iterable[Any]) -> set[Path]:
+    """The images that a list names for testing, as `named_image` finds them; other names stay as they are."""
+    images = set()
+    for name in names:
+        try:
+            images.add(named_image(folders, name))
+        except BadRow:
+            images.add(Path(str(name)))
+    return images
+
+
 def read_reference(
     path: Path,
     data_set: Path,
@@ -123,14 +165,17 @@ def read_reference(
 ) -> Recording:
     """The recording `path` of a data set's rows (source, image, what is stated): of images in the order of their names,
     with the pose and camera that `read` gives, which may raise BadRow. `tested`: the images that the data set names for
-    testing, empty where it has no split.
+    testing, empty where it has no split; where none is one of its rows', a note says so, and there is none.
 
     The unit and up of its world are known of groundwalk's own exports alone, whose cameras state all distortion."""
     own = [(source, (image, row)) for source, image, row in rows if path in (data_set, image.parent)]
     own.sort(key=lambda of_one: natural_order(of_one[1][0].as_posix()))
     if lost := [source for source, image, _ in rows if not image.parent.is_dir()]:
         notes = [f"{len(lost)} rows name images in missing folders, such as {lost[0]}", *notes]
-
+    if tested and tested.isdisjoint(image for _, image, _ in rows):
+        example = printable(min(tested).name)
+        notes = [f"no split: of the {len(tested)} images named for testing, such as {example}, none is here", *notes]
+        tested = set()
     ours, is_metric = bool(export_world(data_set)), is_metric_export(data_set)
 
     def read_row(place: int, row: tuple[Path, Row]) -> RawFrame:

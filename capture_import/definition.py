@@ -7,7 +7,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="import",
-    version=29,
+    version=30,
     settings=ImportSettings,
     needs=(),
     run=Lazy("groundwalk.capture_import.stage:run"),

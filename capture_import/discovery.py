@@ -12,6 +12,7 @@ import numpy as np
 from groundwalk.capture_import.capture import ImageFile, Limits, RawFrame, Recording, Reject
 from groundwalk.capture_import.formats import FORMATS, Format
 from groundwalk.capture_import.media.archive import SUFFIXES, unpack
+from groundwalk.capture_import.media.video import is_video
 from groundwalk.capture_import.parsing import images_in, in_order, is_image
 from groundwalk.capture_import.refusal import are_images_alone, no_capture
 from groundwalk.store import UserError, progress
@@ -93,10 +94,11 @@ def _images_without_a_row(raw: Recording) -> list[Reject]:
 def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str = "auto") -> list[RecordingSource]:
     """The recordings in `root`, in natural order of their ids: `root` itself, or folders, files and archives below it.
 
-    Where a format is named, the first recording's notes name those of other formats, which aren't read. Archives are
-    unpacked into the folder `unpacked`, but not archives inside archives. A recording's id is its folder's (or file's)
-    name; where two have the same, the path from `root` with dashes. UserError where there is none, where one fits two
-    formats, where a link leads out of `root`, or where a name isn't UTF-8.
+    The first recording's notes name what isn't read: where a format is named, recordings of others, and what seems to
+    be a recording but fits no format. Archives are unpacked into the folder `unpacked`, but not archives inside
+    archives. A recording's id is its folder's (or file's) name; where two have the same, the path from `root` with
+    dashes. UserError where there is none, where one fits two formats, where a link leads out of `root`, or where a name
+    isn't UTF-8.
     """
     chosen = None if format_name == "auto" else FORMATS.find(format_name)
     root = root.resolve()
@@ -120,6 +122,9 @@ def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str
     if others := search.others():
         note = f"not read, as {setting_of('import', 'format')} (--format of `inspect`) is {format_name}: {others}"
         sources[0] = replace(sources[0], notes=(*sources[0].notes, note))
+    if search.skipped:
+        note = f"not read: {name_list(search.skipped, 8)}"
+        sources[0] = replace(sources[0], notes=(*sources[0].notes, note))
     return sorted(sources, key=lambda f: natural_order(f.recording_id))
 
 
@@ -141,6 +146,7 @@ class _Search:
     in_archive: bool = False
     failed: set[str] = field(default_factory=set)
     unread: list[RecordingSource] = field(default_factory=list)
+    skipped: list[str] = field(default_factory=list)
 
     def others(self) -> str:
         """The recordings that only other formats than the chosen one fit; empty where there is none."""
@@ -178,10 +184,13 @@ class _Search:
             except UserError as error:
                 return [RecordingSource(path, _broken_archive(error), parts)]
             return replace(self, root=target, in_archive=True).run(target, parts, depth + 1)
-        before, hits = len(self.unread), []
+        before, before_skipped, hits = len(self.unread), len(self.skipped), []
         if path.is_dir() and depth < _MAX_DEPTH:
             inside = in_order(p for p in path.iterdir() if not p.name.startswith(".") and p.name not in _IGNORED)
             hits = [hit for p in inside for hit in self.run(p, (*parts, p.stem if p.is_file() else p.name), depth + 1)]
+        if parts and not fits and not hits and (why := _why_skipped(path, depth)):
+            del self.skipped[before_skipped:]
+            self.skipped.append(f"{'/'.join(parts)} ({why})")
         if fits and not hits:
             del self.unread[before:]
             self.unread.append(RecordingSource(path, fits[0], parts))
@@ -198,6 +207,16 @@ class _Search:
             self.failed.add(format.id)
             progress.console.print(f"warning: {error}")
             return False
+
+
+def _why_skipped(path: Path, depth: int) -> str:
+    """Why no recording was found in a file or folder that seems to hold one; empty for any other."""
+    if path.is_file() and path.suffix.lower() in SUFFIXES:
+        return "an archive in an archive: unpack it"
+    inside = [p for p in path.iterdir() if not p.name.startswith(".")] if path.is_dir() else []
+    if depth >= _MAX_DEPTH and any(p.is_dir() or p.suffix.lower() in SUFFIXES for p in inside):
+        return f"recordings are looked for {_MAX_DEPTH} folders deep"
+    return "no known format" if is_video(path) or any(is_image(p) or is_video(p) for p in inside) else ""
 
 
 def _broken_archive(error: UserError) -> Format:

@@ -72,6 +72,12 @@ def read_rows(
     return frames, rejects
 
 
+def without_images(frames: Sequence[RawFrame]) -> list[str]:
+    """A note on the rows whose images aren't there, of a format in which each row has one; none where all are."""
+    lost = [frame.source for frame in frames if frame.image is None]
+    return [f"{len(lost)} of {len(frames)} poses have no image, such as {lost[0]}"] if lost else []
+
+
 def read_fixes(
     rows: Iterable[tuple[str, Row]], read: Callable[[int, Row], GpsFix | None]
 ) -> tuple[list[GpsFix], list[Reject]]:

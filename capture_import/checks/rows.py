@@ -25,18 +25,20 @@ _WORST_LAST = (Tracking.UNKNOWN, Tracking.NORMAL, Tracking.LIMITED, Tracking.LOS
 
 
 def check_rows(recording: Recording) -> tuple[list[RawFrame], list[Reject]]:
-    """The sound rows of a recording (times strictly rising, every pose rigid, every image with intrinsics and a pose),
-    and why the others aren't.
+    """The sound rows of a recording (times strictly rising, every pose rigid, every image with intrinsics, a pose and
+    a number of its own), and why the others aren't.
 
     Poses come out orthonormal. A row without a pose gets one interpolated between the poses around it, unless these
     are too far apart; where a recording has no poses, none has one.
     """
     rejects = list(recording.rejects)
     position_fault = _position_fault(recording)
-    readable = []
+    readable, first = [], dict[int, RawFrame]()
     for frame in recording.frames:
         if fault := _pose_fault(frame.vio_T_cam, position_fault) or _intrinsics_fault(frame):
             rejects.append(Reject.of(frame, fault))
+        elif frame.image is not None and (twin := first.setdefault(frame.number, frame)) is not frame:
+            rejects.append(Reject.of(frame, f"{twin.source} has the same frame number"))
         elif frame.vio_T_cam is None:
             readable.append(frame)
         else:

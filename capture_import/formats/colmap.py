@@ -38,6 +38,7 @@ from groundwalk.capture_import.data_sets import (
     folder_with,
     is_metric_export,
     lost_images,
+    named_for_testing,
     read_reference,
 )
 from groundwalk.capture_import.formats import Format
@@ -185,7 +186,7 @@ def read(path: Path, limits: Limits) -> Recording:
         raise UserError("an image of the model leads elsewhere", where=folder, found=error) from None
     test_list = folder / "test.txt"  # our exports write it
     listed = parsing.lines_of(test_list, limits) if test_list.is_file() else []
-    tested = {data_set.images / line for _, line in listed}
+    tested = named_for_testing([data_set.images], (line for _, line in listed))
 
     def read_row(_: Path, row: tuple[_Image, _Camera | None]) -> tuple[Array, Intrinsics]:
         image, camera = row

@@ -54,7 +54,7 @@ def read(path: Path, limits: Limits) -> Recording:
         )
 
     frames, rejects = parsing.read_rows(parsing.lines_of(_poses_of(path), limits), read_row)
-    return reference("KITTI", Clock.VIDEO, path, frames, rejects)
+    return reference("KITTI", Clock.VIDEO, path, frames, rejects, notes=parsing.without_images(frames))
 
 
 def _camera(file: Path, name: str, limits: Limits) -> tuple[Intrinsics, Array]:

@@ -7,7 +7,7 @@ https://docs.nerf.studio/quickstart/data_conventions.html, and what other tools 
 - `applied_transform` (3x4) took the poses from an earlier world to the file's; it's undone;
 - intrinsics are at the top or, going before these, each frame's own, or a matrix `K`; `camera_angle_x` gives a missing
   focal length (instant-ngp's files and NeRF's synthetic scenes). PINHOLE states that there is no distortion; zeros of
-  OPENCV, which tools write of phones' images, too, state nothing;
+  OPENCV, which tools write of phones' images, too, state nothing. `is_fisheye` is instant-ngp's OPENCV_FISHEYE;
 - nothing says what the unit is, or where up, and frames have no times;
 - `test_filenames` say which images are for testing, or `transforms_test.json`; val trains.
 
@@ -31,13 +31,14 @@ from groundwalk.capture_import.data_sets import (
     data_set_of,
     folder_with,
     lost_images,
+    named_for_testing,
+    named_image,
     read_reference,
     size_of,
 )
 from groundwalk.capture_import.formats import Format
 from groundwalk.geometry.poses import Array, inverse, make_pose, rigidity_error
 from groundwalk.store import UserError
-from groundwalk.store.files import leads_outside
 
 _TEST_FILE = "transforms_test.json"
 _FILES = ("transforms.json", "transforms_train.json", "transforms_val.json", _TEST_FILE)
@@ -122,7 +123,7 @@ def read(path: Path, limits: Limits) -> Recording:
             if file.name == _TEST_FILE:
                 tested.add(image)
         listed = content.get("test_filenames")
-        tested |= {data_set / n for n in listed if isinstance(n, str)} if isinstance(listed, list) else set()
+        tested |= named_for_testing(_folders(data_set), listed if isinstance(listed, list) else ())
 
     def read_row(image: Path, row: tuple[Array, dict[str, Any]]) -> tuple[Array, Intrinsics]:
         world_T_file, stated = row
@@ -154,20 +155,12 @@ def _with_matrix(row: dict[str, Any]) -> dict[str, Any]:
 def _image(data_set: Path, row: Any) -> Path:
     if not isinstance(row, dict):
         raise parsing.BadRow("frame is no object")
-    name = row.get("file_path")
-    # As Windows parts names, and of a path on another machine the end that is here.
-    parts = name.replace("\\", "/").split("/") if isinstance(name, str) else []
-    ends = [end for n in range(len(parts)) if (end := "/".join(parts[n:])) and not leads_outside(end)]
-    images = (_with_suffix(folder / end) for end in ends for folder in (data_set, data_set / "images"))
-    return next((image for image in images if image.is_file()), None) or _with_suffix(parsing.inside(data_set, name))
+    return named_image(_folders(data_set), row.get("file_path"))
 
 
-def _with_suffix(image: Path) -> Path:
-    if parsing.is_image(image):
-        return image
-    names = [image.name + end for suffix in parsing.SUFFIXES for end in (suffix, suffix.upper())]
-    there = [image.with_name(name) for name in names if image.with_name(name).is_file()]
-    return there[0] if there else image.with_name(image.name + ".png")
+def _folders(data_set: Path) -> tuple[Path, ...]:
+    """What names of images are relative to: the data set, or its images' folder."""
+    return data_set, data_set / "images"
 
 
 def _pose(row: dict[str, Any]) -> Array:
@@ -195,7 +188,7 @@ def _undo(content: dict[str, Any], file: Path) -> Array:
 
 
 def _intrinsics(row: dict[str, Any], image: Path) -> Intrinsics:
-    model = row.get("camera_model", "OPENCV")
+    model = row.get("camera_model", "OPENCV_FISHEYE" if row.get("is_fisheye") else "OPENCV")
     if model not in _MODELS:
         raise parsing.BadRow(f"camera_model {str(model)[:40]} is none of {', '.join(_MODELS)}")
     stated = parsing.optional_size(row, ("w", "h"))

@@ -45,6 +45,7 @@ _MAX_ASPECT = 2.4  # of a camera's picture; panoramas are wider
 _PANORAMA = 6  # what iPhones say in CustomRendered; others' panoramas have Google's XMP
 _SCREEN_ASPECT = 1.9  # screens are longer; what messengers send without EXIF is as phones take it, 16:9 at most
 _OTHERS = (".webp", ".tif", ".tiff", ".dng", ".gif", ".bmp", ".avif")
+_LOGS = (".txt", ".csv", ".json", ".jsonl", ".tum", ".yaml", ".yml")
 _SAME_ASPECT = 0.02
 
 
@@ -97,6 +98,8 @@ def _photo(file: Path) -> _Photo:
         with file.open("rb") as opened:
             start = opened.read(64)
         with PIL.Image.open(file) as image:
+            if isinstance(xmp := image.info.get("xmp"), str):  # a PNG's text of that name
+                image.info["xmp"] = xmp.encode()
             (width, height), exif = image.size, image.getexif()
             details = exif.get_ifd(PIL.ExifTags.IFD.Exif)
             has_gpano = b"GPano:ProjectionType" in (image.info.get("xmp") or b"")
@@ -106,7 +109,7 @@ def _photo(file: Path) -> _Photo:
         except BadImage as error:
             raise BadRow(f"image {error}") from None
         raise BadRow("image is broken") from None
-    except (OSError, ValueError, SyntaxError, PIL.Image.DecompressionBombError) as error:
+    except (OSError, ValueError, SyntaxError, TypeError, PIL.Image.DecompressionBombError) as error:
         raise BadRow(f"image can't be read: {error}") from None
     base = PIL.ExifTags.Base
     maker = [_text(exif.get(tag)) for tag in (base.Make, base.Model)]
@@ -224,6 +227,9 @@ def _notes(path: Path, folder: Path, frames: Sequence[RawFrame], dated: bool) ->
         others.append(f"{len(videos)} videos (--format video reads them alone)")
     if kinds := in_order(p for p in folder.iterdir() if p.suffix.lower() in _OTHERS):
         others.append(f"{len(kinds)} pictures that are no JPEG, PNG or HEIC, such as {printable(kinds[0].name)}")
+    beside = {p for place in (path, folder) for p in place.iterdir()}
+    if logs := in_order(p for p in beside if p.suffix.lower() in _LOGS and p.is_file()):
+        others.append(f"{len(logs)} logs, such as {printable(logs[0].name)}")
     return [*notes, f"not read: {name_list(others, 4)}"] if others else notes
 
 

@@ -33,7 +33,8 @@ def read(path: Path, limits: Limits) -> Recording:
         )
 
     frames, rejects = parsing.read_rows([(f"cameras/{file.name}", file) for file in files], read_row)
-    return Recording("iOS, Polycam", Clock.BOOT, path, frames, rejects)
+    notes = parsing.without_images(frames)
+    return Recording("iOS, Polycam", Clock.BOOT, path, frames, rejects, notes=notes)
 
 
 FORMAT = Format(

@@ -24,7 +24,7 @@ _LIST = re.compile(r".*(traj|pose|groundtruth|ground_truth).*\.txt|.*\.tum", re.
 _FOLDERS = ("images", "rgb", "frames", "color", "photos", "input", ".")
 _MIN_IMAGES = 3
 _UNITS = (1.0, 1e-3, 1e-6, 1e-9)  # of times in images' names, seconds
-_TIME_NAME = re.compile(r"\d+\.\d+|\d{10,}")
+_TIME_NAME = re.compile(r"\d+\.\d+|[1-9]\d{9,}")  # KITTI numbers images by ten digits, from 0000000000
 _NANOSECONDS = 1e17  # a time that is larger is since 1970 in nanoseconds
 _TIME, _MATRIX, _NAME = "time", "matrix", "name"
 

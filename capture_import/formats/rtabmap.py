@@ -3,9 +3,10 @@
 By the tool's source, https://github.com/introlab/rtabmap (`rtabmap-export --images --poses_camera`). Poses are camera
 to world with OpenCV's camera axes, in a map that loops optimised: a reference. Its +z is up, but exports are also known
 with +y up, so up is unknown. Images have their number for a name, and so has the depth in `<name>_depth/`, which
-RTAB-Map has of the image's own camera.
+RTAB-Map has of the image's own camera. A camera whose `distortion_model` is `equidistant` is a fisheye lens.
 """
 
+import re
 from pathlib import Path
 
 from groundwalk.capture_import import parsing
@@ -18,7 +19,8 @@ _POSES = "_camera_poses.txt"
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    poses = parsing.in_order(path.glob(f"*{_POSES}"))[0]
+    poses, *others = parsing.in_order(path.glob(f"[!.]*{_POSES}"))
+    notes = [f"not read: {other.name}; put each export into a folder of its own" for other in others]
     name = poses.name.removesuffix(_POSES)
     image_of = parsing.by_stem(parsing.images_in(path / f"{name}_rgb"))
 
@@ -37,7 +39,7 @@ def read(path: Path, limits: Limits) -> Recording:
         )
 
     frames, rejects = parsing.read_rows(parsing.lines_of(poses, limits), read_row)
-    return reference("RTAB-Map", Clock.UNIX, path, frames, rejects)
+    return reference("RTAB-Map", Clock.UNIX, path, frames, rejects, notes=notes)
 
 
 def _camera(file: Path) -> Intrinsics:
@@ -47,6 +49,11 @@ def _camera(file: Path) -> Intrinsics:
     distortion = parsing.yaml_numbers(text, "distortion_coefficients")
     if len(distortion) < 4:
         raise parsing.BadRow(f"{file.name} has {len(distortion)} distortion_coefficients, not 4 or more")
+    if re.search(r'^distortion_model:\s*"?(equidistant|fisheye)', text, re.M):
+        if len(distortion) not in (4, 6):
+            raise parsing.BadRow(f"{file.name} has {len(distortion)} distortion_coefficients, not 4 or 6 of a fisheye")
+        k1, k2, *_, k3, k4 = distortion  # of 6, the two between are 0
+        return parsing.fisheye_intrinsics((fx, fy, cx, cy), width, height, (k1, k2, k3, k4))
     return Intrinsics(fx, fy, cx, cy, width, height, tuple(distortion) if any(distortion) else ())
 
 

@@ -37,7 +37,7 @@ def read(path: Path, limits: Limits) -> Recording:
         )
 
     frames, rejects = parsing.read_rows([(file.name, (number, file)) for number, file in files], read_row)
-    split, notes = _split(path), []
+    split, notes = _split(path), parsing.without_images(frames)
     if split is None:
         notes.append(
             "no split: TrainSplit.txt and TestSplit.txt beside its folder don't list it; if it's zipped, unpack it"

@@ -106,7 +106,7 @@ def exif_orientation(path: Path) -> int:
     try:
         with PIL.Image.open(path) as image:
             orientation = image.getexif().get(PIL.ExifTags.Base.Orientation, 1)
-    except (OSError, ValueError, SyntaxError):
+    except (OSError, ValueError, SyntaxError, TypeError):
         return 1
     return orientation if orientation in range(1, 9) else 1
 

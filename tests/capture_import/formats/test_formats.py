@@ -4,6 +4,7 @@ import json
 import math
 import re
 import shutil
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from groundwalk.capture_import.capture import GpsFix, ImageFile, Limits, poses_o
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.media.images import decode_rgb
+from groundwalk.capture_import.parsing import fisheye_intrinsics
 from groundwalk.capture_import.sessions import sound_sessions
 from groundwalk.geometry.poses import relative, rotation_angle, tq_from_pose
 from groundwalk.store import UserError
@@ -27,6 +29,7 @@ from tests.capture_import.capture_writers import (
     read_one,
     rejects_of,
     sessions_in,
+    write_pose_list,
     write_record3d,
     write_stray_scanner,
 )
@@ -183,6 +186,76 @@ def test_lists_of_poses_are_joined_with_images_by_name_or_order(tmp_path: Path, 
             read_one(root)
 
 
+def test_images_numbered_by_ten_digits_as_kittis_have_no_times(tmp_path: Path) -> None:
+    walk = make_walk(12, every=1, start_s=0.0)
+    write_pose_list(tmp_path / "walk", walk)
+    for i, t_ns in enumerate(walk.t_ns):
+        (tmp_path / "walk" / "images" / f"{t_ns}.png").rename(tmp_path / "walk" / "images" / f"{i:010d}.png")
+    raw = read_one(tmp_path / "walk")
+    assert not raw.clock.has_times
+    np.testing.assert_allclose(poses_of(raw.frames), walk.vio_T_cam, atol=1e-6)
+
+
+def test_images_whose_size_lies_behind_long_metadata_are_read(tmp_path: Path) -> None:
+    walk, folder = make_walk(12), tmp_path / "walk"
+    write_pose_list(folder, walk)
+    (folder / "camera.txt").unlink()
+    segment = b"\xff\xe2" + (65000).to_bytes(2, "big") + bytes(64998)
+    for i in walk.seen:
+        (folder / "images" / f"{walk.t_ns[i]}.png").unlink()
+        start, rest = walk.jpeg(i)[:2], walk.jpeg(i)[2:]
+        (folder / "images" / f"{walk.t_ns[i]}.jpg").write_bytes(start + 2 * segment + rest)
+    raw = read_one(folder)
+    sizes = {(there(f.intrinsics).width, there(f.intrinsics).height) for f in raw.frames if f.image is not None}
+    assert sizes == {(WIDTH, HEIGHT)} and not raw.rejects
+
+
+@pytest.mark.parametrize("name", ["polycam", "kitti", "seven_scenes"])
+def test_missing_images_are_told(tmp_path: Path, name: str) -> None:
+    WRITERS[name].write(tmp_path / "place" / "walk", make_walk(8, every=1))
+    assert not any("have no image" in note for note in read_one(tmp_path / "place").notes)
+    for path in places(tmp_path / "place", name)[:3]:
+        path.unlink()
+    assert read_one(tmp_path / "place").notes[0].startswith("3 of 8 poses have no image, such as ")
+
+
+@pytest.mark.parametrize("stated", [[-0.01, 0.03, -0.04, 0.006], [-0.01, 0.03, 0.0, 0.0, -0.04, 0.006]])
+def test_a_fisheye_lens_of_rtabmap_is_read_as_one(tmp_path: Path, stated: list[float]) -> None:
+    walk = make_walk(4)
+    WRITERS["rtabmap"].write(tmp_path / "walk", walk)
+    lens = f"data: {stated}\ndistortion_model: equidistant"
+    for file in (tmp_path / "walk" / "scan_calib").iterdir():
+        file.write_text(file.read_text().replace("data: [ 0., 0., 0., 0., 0. ]", lens))
+    expected = fisheye_intrinsics(tuple(walk.camera[0].tolist()), WIDTH, HEIGHT, (-0.01, 0.03, -0.04, 0.006))
+    assert read_one(tmp_path / "walk").frames[0].intrinsics == expected
+
+
+def test_what_seems_to_be_a_recording_and_is_not_read_is_named(tmp_path: Path) -> None:
+    place, walk = tmp_path / "place", make_walk(6)
+    for name in ("walk1", "no_log", "a/b/c/d/e/walk5"):
+        WRITERS["frames_jsonl"].write(place / name, walk)
+    (place / "no_log" / "frames.jsonl").unlink()
+    write_stray_scanner(place / "no_odometry", walk)
+    (place / "no_odometry" / "odometry.csv").unlink()
+    write_record3d(tmp_path / "walk4", walk, archive=True)
+    with zipfile.ZipFile(place / "download.zip", "w") as archive:
+        archive.write(tmp_path / "walk4.r3d", "walk4.r3d")
+    (place / "notes").mkdir()
+    (place / "notes" / "todo.txt").write_text("none of it")
+    (note,) = read_one(place).notes
+    assert note == (
+        "not read: a/b/c/d/e (recordings are looked for 5 folders deep), download/walk4 (an archive in an archive: "
+        "unpack it), no_log/images (no known format), no_odometry (no known format)"
+    )
+
+
+def test_a_second_export_of_rtabmap_in_a_folder_is_named(tmp_path: Path) -> None:
+    WRITERS["rtabmap"].write(tmp_path / "walk", make_walk(6))
+    shutil.copy(tmp_path / "walk" / "scan_camera_poses.txt", tmp_path / "walk" / "zoom_camera_poses.txt")
+    raw = read_one(tmp_path / "walk")
+    assert raw.notes == ["not read: zoom_camera_poses.txt; put each export into a folder of its own"]
+
+
 def test_kitti_poses_beside_the_sequences_are_read(tmp_path: Path) -> None:
     walk, sequence = make_walk(), tmp_path / "place" / "sequences" / "07"
     WRITERS["kitti"].write(sequence, walk)
@@ -241,6 +314,15 @@ def test_older_stray_scanner_has_one_camera_and_a_video_that_starts_elsewhere_is
     (folder / "odometry.csv").write_text("\n".join([header, *rows]))
     with pytest.raises(UserError, match="can't be joined"):
         sessions_in(tmp_path / "place")
+
+
+def test_a_repeated_frame_number_costs_one_row(tmp_path: Path) -> None:
+    write_stray_scanner(tmp_path / "walk", make_walk(24))
+    log = tmp_path / "walk" / "odometry.csv"
+    log.write_text(log.read_text().replace(" 000009,", " 000008,"))
+    (session,) = sessions_in(tmp_path / "walk")
+    assert [image.number for image in session.images] == [i for i in range(24) if i != 9]
+    assert [reject.reason for reject in session.rejects] == ["odometry.csv line 10 has the same frame number"]
 
 
 def test_public_data_sets_keep_their_split_and_have_no_vio(tmp_path: Path, place: Path) -> None:

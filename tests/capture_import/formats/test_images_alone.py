@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import PIL.ExifTags
 import PIL.Image
+import PIL.PngImagePlugin
 import pillow_heif
 import pytest
 
@@ -138,6 +139,7 @@ def test_what_is_no_photo_is_named(tmp_path: Path) -> None:
     (tmp_path / "place" / "IMG_9.HEIC").write_bytes(b"\0\0\0\x18ftypheic" + bytes(100))
     (tmp_path / "place" / "empty.jpg").touch()
     (tmp_path / "place" / "IMG_1.MOV").touch()
+    (tmp_path / "place" / "CameraTrajectory.txt").write_text("0.1,1,2,3,0,0,0,1\n")
     raw = read_one(tmp_path / "place")
     assert {frame.source for frame in raw.frames} == {"IMG-WA1.jpg", *(f"IMG_{n}.jpg" for n in range(4))}
     reasons = {reject.source: reject.reason for reject in raw.rejects}
@@ -153,6 +155,17 @@ def test_what_is_no_photo_is_named(tmp_path: Path) -> None:
     }.items():
         assert part in reasons.pop(name)
     assert not reasons and any("1 videos" in note and "2 pictures that" in note for note in raw.notes)
+    assert "1 logs, such as CameraTrajectory.txt" in raw.notes[-1]
+
+
+def test_a_png_with_a_text_named_xmp_is_read(tmp_path: Path) -> None:
+    text = PIL.PngImagePlugin.PngInfo()
+    text.add_text("xmp", "<x/>")
+    (tmp_path / "place").mkdir()
+    for n in range(3):
+        PIL.Image.fromarray(image(n, WIDTH, HEIGHT)).save(tmp_path / "place" / f"{n}.png", pnginfo=text)
+    raw = read_one(tmp_path / "place")
+    assert len(raw.frames) == 3 and not raw.rejects
 
 
 def test_of_copies_the_one_whose_focal_length_is_stated_is_kept(tmp_path: Path, place: Path) -> None:

@@ -260,9 +260,11 @@ def test_rows_of_llff_are_joined_in_the_order_of_names_as_text(tmp_path: Path) -
         read_all(tmp_path)
 
 
-def test_a_fisheye_lens_of_nerfstudio_projects_as_opencvs(tmp_path: Path) -> None:
+@pytest.mark.parametrize("stated", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
+def test_a_fisheye_lens_of_nerfstudio_projects_as_opencvs(tmp_path: Path, stated: dict[str, Any]) -> None:
     def state(content: dict[str, Any]) -> None:
-        content |= {"camera_model": "OPENCV_FISHEYE", "k1": 0.03, "k2": -0.01, "k4": 0.001}
+        del content["camera_model"]  # which instant-ngp doesn't write
+        content |= stated | {"k1": 0.03, "k2": -0.01, "k4": 0.001}
         for frame in content["frames"]:
             frame |= {"fl_x": 50.0, "fl_y": 51.0}
 
@@ -319,6 +321,30 @@ def test_each_folder_of_images_is_a_recording(tmp_path: Path, write: Callable[[P
     (root / "images" / "b").rename(tmp_path / "elsewhere")
     (session,) = read_all(tmp_path)
     assert "3 rows name images in missing folders" in session.notes[0]
+
+
+@pytest.mark.parametrize("write", [write_colmap, write_nerfstudio])
+@pytest.mark.parametrize("name", ["images/{}.jpg", "/home/me/walk/images/{}.jpg", "..\\walk\\{}.jpg", "{}"])
+def test_names_of_test_images_are_found_as_those_of_images(
+    tmp_path: Path, write: Callable[[Path, Walk], object], name: str
+) -> None:
+    walk, root = make_walk(16), tmp_path / "walk"
+    write(root, walk)
+
+    def state(names: list[str]) -> None:
+        if write is write_colmap:
+            (root / "test.txt").write_text("\n".join(names))
+        else:
+            content = json.loads((root / "transforms.json").read_text())
+            (root / "transforms.json").write_text(json.dumps(content | {"test_filenames": names}))
+
+    state([name.format(f"{i:06d}") for i in walk.seen[::4]])
+    (raw,) = read_all(tmp_path)
+    assert [frame.split for frame in raw.frames] == 2 * ["test", "train", "train", "train"]
+    state(["/home/me/other.jpg", "../others"])
+    (raw,) = read_all(tmp_path)
+    assert {frame.split for frame in raw.frames} == {None}
+    assert raw.notes[0] == "no split: of the 2 images named for testing, such as others, none is here"
 
 
 @pytest.mark.parametrize("write", [write_colmap, write_nerfstudio])
