@@ -56,7 +56,7 @@ class RecordingSource:
                 expected=f"{self.format.label}: {self.format.recognised_by}",
                 found=f"{raw.rejects[0].source}: {raw.rejects[0].reason}" if raw.rejects else "no rows",
             )
-        notes = [*self.notes, *raw.notes]
+        notes = [*raw.notes, *self.notes]
         cameras = [frame.intrinsics for frame in raw.frames if isinstance(frame.image, ImageFile)]
         if unsized := sum(camera is not None and camera.width is None for camera in cameras):
             # Nothing would show images that were scaled.
@@ -188,12 +188,12 @@ class _Search:
         if path.is_dir() and depth < _MAX_DEPTH:
             inside = in_order(p for p in path.iterdir() if not p.name.startswith(".") and p.name not in _IGNORED)
             hits = [hit for p in inside for hit in self.run(p, (*parts, p.stem if p.is_file() else p.name), depth + 1)]
-        if parts and not fits and not hits and (why := _why_skipped(path, depth)):
+        if fits and not hits:
+            del self.unread[before:], self.skipped[before_skipped:]
+            self.unread.append(RecordingSource(path, fits[0], parts))
+        elif parts and not hits and (why := _why_skipped(path, depth)):
             del self.skipped[before_skipped:]
             self.skipped.append(f"{'/'.join(parts)} ({why})")
-        if fits and not hits:
-            del self.unread[before:]
-            self.unread.append(RecordingSource(path, fits[0], parts))
         return hits
 
     def _fits(self, format: Format, path: Path) -> bool:

@@ -19,7 +19,8 @@ _POSES = "_camera_poses.txt"
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    poses, *others = parsing.in_order(path.glob(f"[!.]*{_POSES}"))
+    lists = parsing.in_order(path.glob(f"*{_POSES}"))
+    poses, *others = [file for file in lists if not file.name.startswith(".")] or lists
     notes = [f"not read: {other.name}; put each export into a folder of its own" for other in others]
     name = poses.name.removesuffix(_POSES)
     image_of = parsing.by_stem(parsing.images_in(path / f"{name}_rgb"))

@@ -37,13 +37,14 @@ def read(path: Path, limits: Limits) -> Recording:
         )
 
     frames, rejects = parsing.read_rows([(file.name, (number, file)) for number, file in files], read_row)
-    split, notes = _split(path), parsing.without_images(frames)
+    split, notes = _split(path), list[str]()
     if split is None:
         notes.append(
             "no split: TrainSplit.txt and TestSplit.txt beside its folder don't list it; if it's zipped, unpack it"
         )
     if any(frame.intrinsics is _CAMERA for frame in frames):
         notes.append("nominal intrinsics: the colour camera wasn't calibrated")
+    notes += parsing.without_images(frames)
     clock = Clock.NAME_ORDER if ours else Clock.FRAME_INDEX
     return reference("Kinect", clock, path, frames, rejects, split=split, notes=notes)
 
