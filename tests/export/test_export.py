@@ -519,7 +519,7 @@ def test_a_map_of_unknown_unit_and_vertical_is_exported_as_such(
     assert re.search(r"median: [\d.e-]+ map units and", _quality(dataset))
     alone = replace(dataset, sessions=dataset.sessions.assign(pose_source="none"))
     assert "no standard error is said. Metric scale" in _quality(alone)
-    for path in _export(scene, "euroc").rglob("state_groundtruth_estimate0/data.csv"):
+    for path in _export(scene, "euroc", "--images", "none").rglob("state_groundtruth_estimate0/data.csv"):
         assert "p_x [map units]" in path.read_text()
 
 
