@@ -89,7 +89,7 @@ def _change(data: DataRoot, profile: str, scene: str, new: Path | None, gone: st
             with held(data, profile, [scene], _STAGES) as refuse_changed:
                 try:
                     _make(DataRoot(aside, run, holds=not refine), data, profile, scene, new, place)
-                except UserError:
+                except (UserError, OSError):
                     shutil.rmtree(aside, ignore_errors=True)
                     raise
                 refuse_changed()
@@ -142,6 +142,13 @@ def _make(changed: DataRoot, data: DataRoot, profile: str, scene: str, new: Path
 
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(captures, target, ignore=ignored, copy_function=link_or_copy, symlinks=True)
+    for link in filter(Path.is_symlink, capture_files(target)):  # what it leads to may be hidden, and isn't there then
+        if (file := captures / link.relative_to(target)).is_file():
+            link.unlink()
+            if (file := file.resolve()).is_relative_to(captures):
+                link_or_copy(file, link)
+            else:
+                link.symlink_to(file)
     if new:
         copy: Any = shutil.copytree if new.is_dir() else shutil.copy2
         copy(new, target / place)

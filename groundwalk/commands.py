@@ -22,7 +22,7 @@ from groundwalk.store.inputs import capture_files, has_capture_files
 from groundwalk.store.runs import runs_in
 from groundwalk.store.settings import SHIPPED_DATA, STAGES, DataRoot, is_name
 from groundwalk.store.simulated import are_simulated, marker_of
-from groundwalk.store.text import printable
+from groundwalk.store.text import name_list, printable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 app = new_app("Whole scenes.")
 VERDICT = "verdict.json"
+_NOTE = "judged.json"  # in a judgement's data folder: which file its captures are a copy of
 _JUDGED_IN = "demo"  # the profile: its settings of sfm take minutes on two cores
 _EXIT = {"accepted": 0, "undecided": 3, "refused": 4}
 CapturesOption = Annotated[
@@ -125,12 +126,16 @@ def judge(
     if (SHIPPED_DATA / "scenes" / f"{name}.toml").exists():  # its settings are another place's
         name += "-capture"
     progress.console.print(f"judging {folder}; all that is made lies below {out}")
+    captures, note = root.captures(name), root.root / _NOTE
+    copy, is_again = captures / folder.name, read_json(note) == {"capture": str(folder)}
+    _refuse_another(out, folder, [copy] if is_again else [])
     report, unread = root.run(_JUDGED_IN, name, "report"), partial_folder(root.run(_JUDGED_IN, name, "import"))
     if not folder.is_dir():
-        captures = root.captures(name)  # a folder of its own, which import reads
-        captures.mkdir(parents=True, exist_ok=True)
-        (captures / folder.name).unlink(missing_ok=True)
-        link_or_copy(folder, captures / folder.name)
+        captures.mkdir(parents=True, exist_ok=True)  # a folder of its own, which import reads
+        if not (copy.exists() and copy.samefile(folder)):
+            write_json(note, {"capture": str(folder)})
+            copy.unlink(missing_ok=True)
+            link_or_copy(folder, copy)
     elif has_capture_files(folder):
         link_folder(root, name, folder)
     else:
@@ -239,6 +244,23 @@ def _compared(run_name: str, name: str, profile: str, data: Path) -> "ComparedRu
         errors=table("fuse", "errors"),
         validation=table("fuse", "validation"),
     )
+
+
+def _refuse_another(out: Path, capture: Path, copies: list[Path]) -> None:
+    """UserError where an output folder has captures that are neither this one nor `copies` of it: captures of one name
+    share a folder, and what is linked there, or lies there, may be all that its owner has."""
+    there = list[Path]()
+    for captures in sorted((out / "data" / "captures").glob("[!.]*")):
+        there += [captures] if captures.is_symlink() or capture.is_dir() else capture_files(captures)
+    others = [path for path in there if path not in copies and not (path.exists() and path.samefile(capture))]
+    if others:
+        raise UserError(
+            "the output folder is of another capture",
+            where=out,
+            expected=f"an earlier judgement of {capture}, or nothing",
+            found=name_list([str(path.resolve()) for path in others], 3),
+            do="name another folder with --out, or move this one away",
+        )
 
 
 def _write_unreadable(folder: Path, name: str, stopped: dict[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import platform
+import shutil
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
@@ -60,7 +61,7 @@ class App(typer.Typer):
                 print(f"stopped by {stopped}{f'; {stopped.again}' if stopped.again else ''}", file=sys.stderr)
                 sys.exit(stopped.exit_code)
             has_number = isinstance(error, OSError) and error.errno is not None
-            message = as_user_error(error) if has_number or isinstance(error, MemoryError) else error
+            message = as_user_error(error) if has_number or isinstance(error, MemoryError | shutil.Error) else error
             if message is None and isinstance(error, OSError):
                 message = sentence(error)
             if not isinstance(message, UserError):

@@ -47,6 +47,11 @@ def as_user_error(error: BaseException, work: Path | None = None) -> MachineErro
     Libraries hide the cause: with `work`, an error without a number is the disk's if that is full there.
     """
     for cause in causes(error):
+        if isinstance(cause, shutil.Error):  # without a number: of a tree, it lists every file with its error's text
+            listed = cause.args[0]
+            where, _, found = listed[0] if isinstance(listed, list) else (work, None, listed)
+            do = next((_DO[number] for number in _DO if f"[Errno {number}]" in str(found)), None)
+            return MachineError("a file can't be copied", where=where, found=found, do=do)
         if isinstance(cause, OSError) and cause.errno is not None and cause.errno not in _MAY_BE_DAMAGE:
             return sentence(cause, work)
         if isinstance(cause, MemoryError):
@@ -62,7 +67,7 @@ def sentence(error: OSError, work: Path | None = None) -> MachineError:
     """An error that has a number, in words."""
     # Of a link or a rename that fails, the place where it was to be.
     name = error.filename if error.filename2 is None else error.filename2
-    where = Path(os.fsdecode(name)) if isinstance(name, str | bytes) else work
+    where = Path(os.fsdecode(name)) if isinstance(name, str | bytes | os.PathLike) else work
     room = _free(where) if error.errno in _OF_SPACE else None
     number = error.errno or 0  # the system's own words for it can be searched for
     return MachineError(os.strerror(number).lower(), where=where, found=room, do=_DO.get(number))

@@ -1,5 +1,8 @@
 """Recordings added to a finished ground truth, and taken out of it, by the commands."""
 
+import errno
+import os
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +18,7 @@ from groundwalk.geometry.poses import rotation_angle
 from groundwalk.pipeline import is_step_up_to_date, steps
 from groundwalk.store import DataRoot, UserError, execute, stage
 from groundwalk.store.files import hash_files
+from groundwalk.store.inputs import capture_files
 from groundwalk.store.tables import poses_of
 from tests.known import put
 from tests.sfm.textured_room import make_recording
@@ -160,6 +164,61 @@ def test_a_walk_that_does_not_fit_is_refused_with_the_reason_and_changes_nothing
         with pytest.raises(UserError, match=reason):
             _command(data, "add", str(recording))
         assert _files(data) == before and not (data.run("tiny", "room") / ".change.partial").exists()
+
+
+def test_what_cannot_be_copied_is_named_with_the_cause_and_nothing_is_left(
+    data: DataRoot, walks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def add(name: str) -> str:
+        with pytest.raises(SystemExit) as ended:
+            adding.app(["add", str(tmp_path / name), "--scene", "room", "--profile", "tiny", "--data", str(data.root)])
+        assert ended.value.code == 2 and not (data.run("tiny", "room") / ".change.partial").exists()
+        return capsys.readouterr().err
+
+    def full(source: str, target: str, **_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", source, None, target)
+
+    shutil.copytree(walks / "three", tmp_path / "linked")
+    (tmp_path / "linked" / "latest.jpg").symlink_to("gone")
+    said = add("linked")
+    assert "error: a file can't be copied" in said and "No such file" in said
+    assert str(tmp_path / "linked" / "latest.jpg") in said
+    (tmp_path / "linked" / "latest.jpg").unlink()
+    (tmp_path / "walk.mp4").write_bytes(b"a video")
+    monkeypatch.setattr(shutil, "copyfile", full)
+    said = add("linked")
+    assert str(tmp_path / "linked") in said and re.search(r"(?s)No space left on device: .*free some space", said)
+    assert re.search(r"(?s)no space left on device.*walk.mp4.*free some space", add("walk.mp4"))
+
+
+def test_captures_that_are_links_into_a_hidden_folder_stay_as_import_saw_them(
+    data: DataRoot, walks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As git-annex keeps them. Those that import refused are as they were, too."""
+    captures, seen = data.captures("room"), list[dict[str, str]]()
+
+    def hashes(folder: Path) -> dict[str, str]:
+        return hash_files(folder, (path for path in capture_files(folder) if path.is_file()))
+
+    def look(stage: object, scene: str, profile: str, changed: DataRoot, *_: object) -> None:
+        seen.append(hashes(changed.captures(scene)))
+        assert (changed.captures(scene) / "two" / "out.jpg").resolve() == tmp_path / "out.jpg"
+        raise _Killed
+
+    kept = captures / ".git" / "annex"
+    kept.mkdir(parents=True)
+    for file in capture_files(captures / "one"):
+        file.rename(kept / file.name)
+        file.symlink_to(os.path.relpath(kept / file.name, file.parent))
+    (tmp_path / "out.jpg").write_bytes(b"elsewhere")
+    (captures / "two" / "out.jpg").symlink_to("../../../../out.jpg")
+    (captures / "two" / "loop.jpg").symlink_to("loop.jpg")
+    monkeypatch.setattr(stage, "execute", look)
+    monkeypatch.setattr(adding, "_keys", lambda *_: {})
+    with pytest.raises(_Killed):
+        _command(data, "add", str(walks / "three"))
+    added = {f"three/{name}": digest for name, digest in hashes(walks / "three").items()}
+    assert seen == [hashes(captures) | added] and "one/frames.jsonl" in seen[0]
 
 
 @pytest.mark.slow

@@ -68,6 +68,53 @@ def test_a_single_file_is_judged_in_a_folder_of_its_own(tmp_path: Path, monkeypa
         assert (copy.name, copy.read_bytes()) == ("my walk.mp4", content) and video.read_bytes() == content
 
 
+def test_a_folder_that_is_another_captures_is_refused_and_nothing_is_touched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Captures of one name share a folder unless --out names one."""
+
+    def run_steps(steps: list[Step], profile: str, data: DataRoot) -> None:
+        raise SystemExit(143)
+
+    monkeypatch.setattr(commands, "run_steps", run_steps)
+    for n, (first, then) in enumerate(
+        [
+            ("walk", "walk/walk.mp4"),
+            ("walk", "walk.zip"),
+            ("walk.mov", "walk.mp4"),
+            ("walk", "b/walk"),
+            ("b", "walk.mp4"),
+        ]
+    ):
+        base = tmp_path / str(n)
+        for name in ("walk/walk.mp4", "walk/log.csv", "walk.zip", "walk.mov", "walk.mp4", "b/walk/walk.mp4"):
+            written(base / name, name)
+        monkeypatch.chdir(base)
+        out = () if first != "b" else ("--out", base / "out")
+        for _ in range(2):
+            assert judge(base / first, *out) == 143
+        before = {path: path.read_text() for path in base.rglob("*") if path.is_file()}
+        with pytest.raises(UserError, match=r"the output folder is of another capture(.|\n)*with --out"):
+            judge(base / then, *out)
+        assert {path: path.read_text() for path in base.rglob("*") if path.is_file()} == before
+        assert judge(base / then, "--out", base / "another") == 143
+        assert judge(base / first, *out) == 143
+
+
+def test_a_file_that_lies_in_the_captures_of_the_output_folder_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run_steps(steps: list[Step], profile: str, data: DataRoot) -> None:
+        raise SystemExit(143)
+
+    monkeypatch.setattr(commands, "run_steps", run_steps)
+    mine = written(tmp_path / "data" / "captures" / "walk" / "walk.mp4", "mine")
+    assert judge(mine, "--out", tmp_path) == 143
+    with pytest.raises(UserError, match="another capture"):
+        judge(written(tmp_path / "walk.mp4", "other"), "--out", tmp_path)
+    assert mine.read_text() == "mine"
+
+
 def test_an_empty_folder_and_none_are_said_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     out = tmp_path / "out"
