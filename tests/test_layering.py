@@ -23,7 +23,7 @@ GRAPH: dict[str, set[str]] = {
     "export": {"store", "geometry", "runtime", "scoring", "training"},
     "training": {"store", "geometry", "scoring"},
     "localisation": {"store", "features", "geometry", "runtime", "scoring"},
-    "fusion": {"store", "geometry", "scoring"},
+    "fusion": {"store", "consistency", "geometry", "scoring"},
     "reports": {"store", "geometry", "scoring"},
 }
 OURS = set(GRAPH)
