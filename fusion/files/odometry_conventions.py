@@ -69,7 +69,7 @@ def shares_vertical(map_T_cam: Array, vio_T_cam: Array) -> bool:
     """Whether +y of odometry and of ground truth, poses (N, 4, 4) or NaN, are one direction, as far as they tell."""
     both = known(map_T_cam) & known(vio_T_cam)
     up = np.sum(map_T_cam[both, 1, :3] * vio_T_cam[both, 1, :3], axis=1)
-    return len(up) < _FEW or float(np.median(up)) > np.cos(_MAX_LEAN)
+    return len(up) < _FEW or bool(np.median(up) > np.cos(_MAX_LEAN))
 
 
 def _motions(walks: Sequence[Walk]) -> tuple[Array, Array]:
