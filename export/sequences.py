@@ -11,7 +11,7 @@ from urllib.parse import quote
 import numpy as np
 
 from groundwalk.export.dataset import WORLD_T_MAP, Dataset, Images, numbers, write_lines
-from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.cameras import CENTRE_OF_FIRST_PIXEL, Camera
 from groundwalk.geometry.poses import inverse, quaternion_from_matrix, tq_from_pose
 from groundwalk.store import UserError
 from groundwalk.store.tables import map_unit
@@ -82,13 +82,14 @@ def write_euroc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
 
 
 def _sensor(camera: Camera) -> list[str]:
-    """Lines of `sensor.yaml`; pixel centres are whole numbers there."""
+    """Lines of `sensor.yaml`."""
+    cx, cy = camera.cx - CENTRE_OF_FIRST_PIXEL, camera.cy - CENTRE_OF_FIRST_PIXEL
     return [
         *("sensor_type: camera", "T_BS:", "  cols: 4", "  rows: 4"),
         f"  data: [{numbers(*np.eye(4).ravel(), separator=', ')}]",
         f"resolution: [{camera.width}, {camera.height}]",
         "camera_model: pinhole",
-        f"intrinsics: [{numbers(camera.fx, camera.fy, camera.cx - 0.5, camera.cy - 0.5, separator=', ')}]",
+        f"intrinsics: [{numbers(camera.fx, camera.fy, cx, cy, separator=', ')}]",
         "distortion_model: radial-tangential",
         "distortion_coefficients: [0.0, 0.0, 0.0, 0.0]",
     ]

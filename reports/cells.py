@@ -4,14 +4,13 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-import numpy as np
 import pandas as pd
 
 from groundwalk.reports.grids import EMPTY, OURS, PUBLISHED
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD, PrintedTables
-from groundwalk.reports.statistics import compared, scene_scores
-from groundwalk.scoring.bootstrap import drawn_figures, draws, interval
+from groundwalk.reports.statistics import scene_scores
+from groundwalk.scoring.bootstrap import figures_by_session
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.scoring.scores import SUBSETS
 
@@ -213,21 +212,16 @@ def localiser_errors(scene: SceneInputs, cells: pd.DataFrame) -> Iterator[Locali
 
 def _interval(scene: SceneInputs, model: str, method: str) -> str:
     """The bounds of the median position error in time, where fuse took test frames alone."""
-    tables = (scene.intervals, scene.errors, compared(scene.errors))
+    tables = (scene.intervals, scene.errors, scene.compared)
     found, errors, over = (t[(t["model"] == model) & (t["method"] == method)] for t in tables)
     found = found[(found["subset"] == "all") & (found["figure"] == "position_median_m")][["low", "high"]].astype(float)
     if len(over) < len(errors):  # fuse's is over walks, too, in which nothing is fused
-        found = _drawn_interval(over)
+        errors_m, errors_deg = (over[f"live_{name}"].to_numpy(float) for name in ("position_m", "rotation_deg"))
+        drawn = figures_by_session(
+            over["session_id"].to_numpy(object), errors_m, errors_deg, sure_enough(over["quality"])
+        )
+        found = pd.DataFrame([bounds for name, _, *bounds in drawn if name == "position_median_m"], dtype=float)
     if set(scene.errors["split"]) != {"test"} or found.empty or found.iloc[0].isna().all():
         return EMPTY
     low, high = found.iloc[0]
     return f"{number(low, digits_of(low))} to {'infinite' if math.isnan(high) else number(high, digits_of(high))}"
-
-
-def _drawn_interval(errors: pd.DataFrame) -> pd.DataFrame:
-    """That of rows of fuse.errors as fuse.intervals has it; none of a single walk."""
-    walks, walk = np.unique(errors["session_id"].to_numpy(object), return_inverse=True)
-    position, rotation = (errors[f"live_{name}"].to_numpy(float) for name in ("position_m", "rotation_deg"))
-    figures = dict(drawn_figures(position, rotation, sure_enough(errors["quality"]), draws(len(walks))[:, walk]))
-    bounds = interval(figures["position_median_m"][1:])
-    return pd.DataFrame([bounds] * (len(walks) > 1), columns=["low", "high"], dtype=float)

@@ -12,7 +12,7 @@ from groundwalk.reports.cells import LEVELS, LocaliserErrors, digits_of, number
 from groundwalk.reports.grids import EMPTY, Grid, plain_grid
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.run_checks import AGREES
-from groundwalk.reports.statistics import by_walk, compared
+from groundwalk.reports.statistics import by_walk
 from groundwalk.reports.verdict import Problem, Verdict, usual_drift
 from groundwalk.scoring.errors import SURE_CLASSES
 from groundwalk.store.choices import MapUnit, Rejected
@@ -71,7 +71,7 @@ def headline(scene: SceneInputs, found: list[LocaliserErrors]) -> Grid | None:
         f"localiser | median position ({scene.unit.symbol}) | median rotation (°) | high/medium/low (%) | coverage (%)"
     )
     rows = [[r.name, r.position, r.rotation, r.levels, r.coverage, r.interval] for r in found]
-    truth = scene.ground_truth[scene.ground_truth["frame_id"].isin(compared(scene.errors)["frame_id"])]
+    truth = scene.ground_truth[scene.ground_truth["frame_id"].isin(scene.compared["frame_id"])]
     registered = scene.images.loc[scene.images["registered"], "frame_id"]
     sd, joint = truth["position_sd_m"].median(), truth["frame_id"].isin(registered).sum()
     chosen = scene.validation[scene.validation["model"].isin([model for model in scene.models if scene.ahead(model)])]

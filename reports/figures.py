@@ -13,7 +13,6 @@ from matplotlib.ticker import MaxNLocator
 
 from groundwalk.reports import style
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.reports.statistics import compared
 from groundwalk.store.choices import MapUnit
 
 Named = tuple[str, str, Figure]
@@ -100,7 +99,7 @@ def error_distributions(scene: SceneInputs) -> Named:
     """How many test frames lie within an error, a missing pose being a failure: each model alone, and fused in time."""
     figure, axes = style.new_figure(2, 2.1)
     colours = style.model_colours(scene)
-    shown = compared(scene.errors)
+    shown = scene.compared
     quantities = (("position", "m", (0.25, 0.5, 5.0)), ("rotation", "deg", (2.0, 5.0, 10.0)))
     for ax, (quantity, unit, levels) in zip(axes, quantities, strict=True):
         for level in levels if scene.unit is MapUnit.METRE else ():

@@ -35,6 +35,14 @@ LEAK_S = 5.0
 MAX_NEAR_COPIES = 0.05
 
 
+def compared(errors: pd.DataFrame) -> pd.DataFrame:
+    """Of rows of fuse.errors, those of test frames that all of a model's methods ran on: where only some test sessions
+    have VIO, and something is fused, those of these sessions."""
+    test = errors[errors["split"] == "test"]
+    ran = test.groupby(["model", "frame_id"])["method"].transform("size")
+    return test[ran == test.groupby("model")["method"].transform("nunique")]
+
+
 @dataclass(frozen=True)
 class SceneInputs:
     """The tables of one scene that the report is made from.
@@ -88,6 +96,11 @@ class SceneInputs:
     @property
     def test_frames(self) -> int:
         return int((self.frames["split"] == "test").sum())
+
+    @cached_property
+    def compared(self) -> pd.DataFrame:
+        """`compared` of the scene's errors."""
+        return compared(self.errors)
 
     @property
     def scored_frames(self) -> int:

@@ -14,7 +14,6 @@ from groundwalk.reports.cells import LocaliserErrors
 from groundwalk.reports.figures import Picture
 from groundwalk.reports.grids import Grid, html_table
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.reports.statistics import compared
 from groundwalk.reports.templating import from_template
 from groundwalk.reports.verdict import State, Verdict, usual_drift
 from groundwalk.reports.walk_map import data_address, draw, frame_data, thumbnail
@@ -136,7 +135,7 @@ def section(
         control_plot=data_address("png", scene.control_plot.read_bytes()) if scene.control_plot else "",
         pictures=pictures,
         localiser_errors=localiser_errors,
-        compared_frames=compared(scene.errors)["frame_id"].nunique(),
+        compared_frames=scene.compared["frame_id"].nunique(),
         tables={name: html_table(grid) for name, grid in grids.items()},
         settings=[
             (stage, json.dumps(manifest["settings"], indent=1, ensure_ascii=False))

@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 import pandas as pd
 
-from groundwalk.reports.inputs import SceneInputs
+from groundwalk.reports.inputs import SceneInputs, compared
 from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.scoring.scores import SUBSETS, Score, score
@@ -67,14 +67,6 @@ def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dic
         add(str(method), options, "all", "all", _scored(part, "live_"))
         add(str(method), options, "common", "subset", _scored(part[~part["frame_id"].isin(missed)], "live_"))
     return rows
-
-
-def compared(errors: pd.DataFrame) -> pd.DataFrame:
-    """Of rows of fuse.errors, those of test frames that all of a model's methods ran on: where only some test sessions
-    have VIO, and something is fused, those of these sessions."""
-    test = errors[errors["split"] == "test"]
-    ran = test.groupby(["model", "frame_id"])["method"].transform("size")
-    return test[ran == test.groupby("model")["method"].transform("nunique")]
 
 
 def by_walk(scene: SceneInputs) -> dict[tuple[str, str], Score]:

@@ -15,7 +15,6 @@ from markupsafe import escape
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.reports.statistics import compared
 from groundwalk.reports.style import model_colours
 from groundwalk.reports.verdict import Verdict
 from groundwalk.store.images import small_jpeg
@@ -172,7 +171,7 @@ def frame_data(scene: SceneInputs, verdict: Verdict, image_path: Callable[[str],
         "figures": {name: _numbers(values) for name, values in figures.items() if values.notna().any()},
         "answers": answers,
         "recall": recall,
-        "compared": [row_of[frame_id] for frame_id in compared(scene.errors)["frame_id"].unique()],
+        "compared": [row_of[frame_id] for frame_id in scene.compared["frame_id"].unique()],
         "refusals": refusals,
         "image": images,
     }

@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.alignment.rulers.detection import CENTRE_OF_FIRST_PIXEL, Grey, markers_in, rows_read_off
+from groundwalk.alignment.rulers.detection import Grey, markers_in, rows_read_off
 from groundwalk.alignment.settings import ControlSettings
+from groundwalk.geometry.cameras import CENTRE_OF_FIRST_PIXEL
 from groundwalk.geometry.earth import Origin, enu_of
 from groundwalk.geometry.poses import Array
 from groundwalk.store import UserError

@@ -19,6 +19,7 @@ from groundwalk.alignment.settings import (
     dictionaries,
     dictionary,
 )
+from groundwalk.geometry.cameras import CENTRE_OF_FIRST_PIXEL
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rulers import Corners
 from groundwalk.store import UserError
@@ -28,8 +29,6 @@ from groundwalk.store.parallel import in_parallel
 Grey = NDArray[np.uint8]
 BoardRuler = CharucoRuler | AprilTagRuler
 
-# OpenCV puts (0, 0) at the centre of the top-left pixel.
-CENTRE_OF_FIRST_PIXEL = 0.5
 _TAG_CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
 # Where nothing is detected, so many images, evenly spread, are searched for another board or print.
 _SEARCHED = 12

@@ -12,6 +12,7 @@ from pathlib import Path
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.formats import Format
+from groundwalk.geometry.cameras import CENTRE_OF_FIRST_PIXEL
 from groundwalk.store.choices import Clock, PoseSource
 
 _TRUTH = ("mav0/state_groundtruth_estimate0/data.csv", "mav0/mocap0/data.csv")
@@ -44,7 +45,7 @@ def read(path: Path, limits: Limits) -> Recording:
 
 def _intrinsics(text: str) -> Intrinsics:
     fx, fy, *centre = parsing.yaml_numbers(text, "intrinsics", 4)
-    cx, cy = (at + 0.5 for at in centre)  # pixel centres are whole numbers there
+    cx, cy = (at + CENTRE_OF_FIRST_PIXEL for at in centre)
     width, height = (parsing.to_pixels(size) for size in parsing.yaml_numbers(text, "resolution", 2))
     distortion = tuple(parsing.yaml_numbers(text, "distortion_coefficients", 4))
     if re.search(r"^distortion_model:\s*equidistant", text, re.M):

@@ -15,6 +15,7 @@ from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, Recording
 from groundwalk.capture_import.data_sets import reference
 from groundwalk.capture_import.formats import Format
+from groundwalk.geometry.cameras import CENTRE_OF_FIRST_PIXEL
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
@@ -68,9 +69,8 @@ def _camera(file: Path, name: str, limits: Limits) -> tuple[Intrinsics, Array]:
         except parsing.BadRow as error:
             raise UserError("the camera can't be read", where=file, found=f"{name}: {error}") from None
         x, y, z = p[:, 3].tolist()
-        # Pixel centres are whole numbers there.
         place = make_pose(np.eye(3), [-(x - cx * z) / fx, -(y - cy * z) / fy, -z])
-        return Intrinsics(fx, fy, cx + 0.5, cy + 0.5), place
+        return Intrinsics(fx, fy, cx + CENTRE_OF_FIRST_PIXEL, cy + CENTRE_OF_FIRST_PIXEL), place
     raise UserError("the camera can't be read", where=file, expected=f"a line that begins with {name}:")
 
 

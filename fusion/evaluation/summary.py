@@ -10,7 +10,7 @@ import pandas as pd
 from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.walk import Flags
 from groundwalk.geometry.poses import Array
-from groundwalk.scoring.bootstrap import drawn_figures, draws, finite, interval
+from groundwalk.scoring.bootstrap import figures_by_session
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.scoring.scores import SUBSETS, score
 
@@ -78,15 +78,11 @@ def intervals(errors: pd.DataFrame, seed: int = 0) -> pd.DataFrame:
     rows = []
     for key, frames, prefix, _ in _subsets_of_runs(errors):
         sessions = frames["session_id"].to_numpy(object)
-        names = np.unique(sessions)
-        if not len(names):
-            continue
-        weights = draws(len(names), seed)[:, np.searchsorted(names, sessions)]
-        for figure, values in drawn_figures(*score_columns(frames, prefix), weights):
-            low, high = interval(values[1:]) if len(names) > 1 else (None, None)
+        count = len(set(sessions))
+        for figure, value, low, high in figures_by_session(sessions, *score_columns(frames, prefix), seed):
             rows.append(
                 key
-                | {"figure": figure, "value": finite(values[0]), "low": low, "high": high}
-                | {"sessions": len(names), "draws": comb(2 * len(names) - 1, len(names))}
+                | {"figure": figure, "value": value, "low": low, "high": high}
+                | {"sessions": count, "draws": comb(2 * count - 1, count)}
             )
     return pd.DataFrame(rows)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from groundwalk.consistency.motions import MotionAgreement, compare_motions
+from groundwalk.consistency.motions import MIN_STEP_M, compare_motions
 from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.poses import Array, relative
 from groundwalk.store import UserError
@@ -12,9 +12,7 @@ from groundwalk.store import UserError
 _MIN_STEP_NS = 3_000_000  # no camera takes 300 images a second
 _APART_NS = 1_000_000_000  # frames so far apart show how a camera moves, and odometry hardly drifts in between
 _FEW = 8  # fewer pairs may differ by chance
-_MIN_EXPLAINED = 0.5
 _MAX_RATIO = 2.0
-_MIN_MOTION_M = 0.25
 _GL_T_CV = np.diag([1.0, -1.0, -1.0, 1.0])
 _MAX_LEAN = np.radians(20.0)
 
@@ -32,7 +30,7 @@ def refuse_other_conventions(walks: Sequence[Walk], scene: str) -> None:
         )
     true, vio = _motions(walks)
     gl = compare_motions(true, _GL_T_CV @ vio @ _GL_T_CV, common_scale=False)
-    if not _agree(compare_motions(true, vio, common_scale=False)) and gl.pairs >= _FEW and _agree(gl):
+    if compare_motions(true, vio, common_scale=False).mistake and not gl.mistake:
         raise UserError(
             f"odometry of {scene} moves along other axes than its ground truth",
             where="columns vio_cam_* of the frames",
@@ -42,7 +40,7 @@ def refuse_other_conventions(walks: Sequence[Walk], scene: str) -> None:
             do="multiply those poses from the right by diag(1, -1, -1, 1)",
         )
     length_m, vio_m = (np.linalg.norm(poses[:, :3, 3], axis=1) for poses in (true, vio))
-    moved = length_m >= _MIN_MOTION_M
+    moved = length_m >= MIN_STEP_M
     ratio = float(np.median(vio_m[moved] / length_m[moved])) if moved.sum() >= _FEW else 1.0
     if not 1 / _MAX_RATIO < ratio < _MAX_RATIO:
         raise UserError(
@@ -56,7 +54,7 @@ def refuse_other_conventions(walks: Sequence[Walk], scene: str) -> None:
 def refuse_unrelated(walks: Sequence[Walk], scene: str) -> None:
     """Raise UserError where odometry moves in no relation to ground truth."""
     motions = compare_motions(*_motions(walks), common_scale=False)
-    if not _agree(motions):
+    if motions.mistake:
         raise UserError(
             f"odometry of {scene} moves unlike its ground truth",
             where="columns vio_cam_* of the frames",
@@ -84,7 +82,3 @@ def _motions_of(walk: Walk) -> tuple[Array, Array]:
     later = np.searchsorted(walk.t_ns[both], walk.t_ns[both] + _APART_NS)
     a, b = both[later < len(both)], both[later[later < len(both)]]
     return relative(walk.map_T_cam[a], walk.map_T_cam[b]), relative(walk.vio_T_cam[a], walk.vio_T_cam[b])
-
-
-def _agree(motions: MotionAgreement) -> bool:
-    return motions.pairs < _FEW or motions.explained >= _MIN_EXPLAINED

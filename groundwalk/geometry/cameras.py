@@ -10,6 +10,8 @@ import numpy as np
 from groundwalk.geometry import Array, GeometryError
 from groundwalk.geometry.lens import distort, distort_with_slope, undistort
 
+CENTRE_OF_FIRST_PIXEL = 0.5
+"""Where OpenCV, and formats that follow it, have (0, 0)."""
 _GRID = 33
 _RELATIVE, _ROUNDING_PX = 1e-6, 1e-6
 

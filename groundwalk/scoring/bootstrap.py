@@ -66,6 +66,22 @@ def interval(values: Array) -> tuple[float | None, float | None]:
     return finite(low), finite(high)
 
 
+def figures_by_session(
+    session_N: NDArray[np.object_],
+    position_m: Array,
+    rotation_deg: Array,
+    certain: NDArray[np.bool_],
+    seed: int | np.random.Generator = 0,
+) -> Iterator[tuple[str, float | None, float | None, float | None]]:
+    """Name, value and bounds of each of `drawn_figures`, for errors (N,) of frames of these sessions; without bounds
+    where there is a single session, and none of no frames."""
+    names = np.unique(session_N)
+    if len(names):
+        weights = draws(len(names), seed)[:, np.searchsorted(names, session_N)]
+        for name, values in drawn_figures(position_m, rotation_deg, certain, weights):
+            yield name, finite(values[0]), *(interval(values[1:]) if len(names) > 1 else (None, None))
+
+
 def finite(value: float) -> float | None:
     """The value, or None where it is infinite or NaN."""
     return float(value) if np.isfinite(value) else None

@@ -49,12 +49,13 @@ def write_thinned(source: Path, target: Path, frames: int, seed: int) -> None:
     ends = np.array([pycolmap.pair_id_to_image_pair(i) for i in pair_ids], np.int64).reshape(-1, 2)
     matches = [np.asarray(one.inlier_matches, np.int64).reshape(-1, 2) for one in geometries]
     pair_M = np.repeat(np.arange(len(matches)), [len(one) for one in matches])
-    feature_M2 = np.concatenate([np.empty((0, 2), np.int64), *matches]) + start[ends - image_id(0)][pair_M]
+    first_M2 = start[ends - image_id(0)][pair_M]  # features of these images
+    feature_M2 = first_M2 + np.concatenate([np.empty((0, 2), np.int64), *matches])
     chosen = chosen_matches(pair_M, feature_M2, int(start[-1]), seed)
     is_kept = np.zeros(start[-1], bool)
     is_kept[feature_M2[chosen]] = True
     kept_before = np.concatenate([[0], np.cumsum(is_kept)])
-    matches_left = (kept_before[feature_M2] - kept_before[start[ends - image_id(0)][pair_M]])[chosen].astype(np.uint32)
+    matches_left = (kept_before[feature_M2] - kept_before[first_M2])[chosen].astype(np.uint32)
     parts = np.split(matches_left, np.searchsorted(pair_M[chosen], np.arange(1, len(matches))))
     shutil.copyfile(source, target)
     with pycolmap.Database.open(target) as database, pycolmap.DatabaseTransaction(database):

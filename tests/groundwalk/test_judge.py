@@ -19,6 +19,10 @@ def capture(tmp_path: Path) -> Path:
     return written(tmp_path / "my walk & more" / "frame_00000.json", "{}").parent
 
 
+def stopped(steps: list[Step], profile: str, data: DataRoot) -> None:
+    raise SystemExit(143)
+
+
 def judge(*arguments: object) -> int:
     done = CliRunner().invoke(commands.app, ["judge", *map(str, arguments)])
     if isinstance(done.exception, UserError):
@@ -73,10 +77,7 @@ def test_a_folder_that_is_another_captures_is_refused_and_nothing_is_touched(
 ) -> None:
     """Captures of one name share a folder unless --out names one."""
 
-    def run_steps(steps: list[Step], profile: str, data: DataRoot) -> None:
-        raise SystemExit(143)
-
-    monkeypatch.setattr(commands, "run_steps", run_steps)
+    monkeypatch.setattr(commands, "run_steps", stopped)
     for n, (first, then) in enumerate(
         [
             ("walk", "walk/walk.mp4"),
@@ -104,10 +105,7 @@ def test_a_folder_that_is_another_captures_is_refused_and_nothing_is_touched(
 def test_a_file_that_lies_in_the_captures_of_the_output_folder_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def run_steps(steps: list[Step], profile: str, data: DataRoot) -> None:
-        raise SystemExit(143)
-
-    monkeypatch.setattr(commands, "run_steps", run_steps)
+    monkeypatch.setattr(commands, "run_steps", stopped)
     mine = written(tmp_path / "data" / "captures" / "walk" / "walk.mp4", "mine")
     assert judge(mine, "--out", tmp_path) == 143
     with pytest.raises(UserError, match="another capture"):
