@@ -24,7 +24,7 @@ from groundwalk.capture_import.capture import (
     poses_of,
 )
 from groundwalk.capture_import.checks.rows import check_rows
-from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.geometry.poses import Array, make_pose, relative, rotation_angle
 from groundwalk.store.choices import PoseSource, SessionSplit
 from groundwalk.store.images import exif_orientation
 from groundwalk.store.text import name_list
@@ -178,6 +178,16 @@ def _with_sound_images(
             original = first.get(image.check.content_sha256, image)
             if key not in faults and original is not image:
                 faults[key] = f"image is a copy of that of {original.source}"
+    elif recording.pose_source == PoseSource.VIO:
+        shown: dict[str, Image] = {}
+        for key, image in image_of.items():
+            before = shown.setdefault(image.check.content_sha256 or image.source, image)
+            assert before.vio_T_cam is not None and image.vio_T_cam is not None  # check_rows interpolates
+            motion = relative(before.vio_T_cam, image.vio_T_cam)
+            moved_m, turned_deg = np.linalg.norm(motion[:3, 3]), np.degrees(rotation_angle(motion[:3, :3]))
+            if moved_m > _NOISE_M or turned_deg > _NOISE_DEG:
+                off = f"{moved_m:.2f} m and {turned_deg:.0f} degrees"
+                faults[key] = f"image is that of {before.source} again, while the pose is {off} from there"
     rejects += [Reject.of(image_of.pop(key), fault) for key, fault in faults.items()]
     return [image_of.get(id(frame), frame) for frame in frames], rejects
 

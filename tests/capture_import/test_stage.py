@@ -173,12 +173,17 @@ def test_images_that_cannot_be_trusted_are_rejects(tmp_path: Path, place: Path) 
     rows[6]["tracking"] = "limited"
     sharp = read_picture(folder / "images" / "9.jpg")
     cv2.imwrite(str(folder / "images" / "9.jpg"), cv2.blur(sharp, (31, 1)))
+    for i in (12, 13):  # the camera stood still, the phone didn't
+        shutil.copyfile(folder / "images" / "11.jpg", folder / "images" / f"{i}.jpg")
+    rows[34]["vio_T_cam"] = rows[33]["vio_T_cam"]  # here both did
+    shutil.copyfile(folder / "images" / "33.jpg", folder / "images" / "34.jpg")
     for i in (15, *range(20, 30)):  # one lacks its pose, then ten in a row do
         del rows[i]["vio_T_cam"]
     (folder / "frames.jsonl").write_text("\n".join(map(json.dumps, [header, *rows])))
     tables = imported(tmp_path, "sampling='all'")
     reasons = dict(zip(tables["rejects"]["t_ns"], tables["rejects"]["reason"], strict=True))
     expected = {4: "not tracking", 9: "too blurred: sharpness"} | dict.fromkeys(range(20, 30), "no pose within 0.5 s")
+    expected |= dict.fromkeys((12, 13), "image is that of frames.jsonl line 13 again, while the pose is 0.")
     assert reasons.keys() == {rows[i]["t_ns"] for i in expected}
     for i, reason in expected.items():
         assert reasons[rows[i]["t_ns"]].startswith(reason)
