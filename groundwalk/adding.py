@@ -48,7 +48,7 @@ def add(
 
     A recording that doesn't fit is refused, and then nothing has changed.
     """
-    recording = recording.expanduser().resolve()
+    recording = recording.resolve()
     if not recording.exists() or (recording.is_dir() and not has_capture_files(recording)):
         raise UserError("the recording isn't there", where=recording, expected="a recording, or a folder of them")
     _change(DataRoot(data), profile, scene, recording, "", refine)

@@ -139,7 +139,8 @@ def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str
                 with locked(local):
                     download(captures, local)
             elif captures:
-                link_folder(data, scene, table.parent / Path(captures).expanduser())
+                # Path.expanduser fails where there is no such user.
+                link_folder(data, scene, table.parent / os.path.expanduser(captures))  # noqa: PTH111
             jobs |= {job.id: job for job in _jobs_of(data, row.get("profile", profile), scene, row.get("until"))}
         except UserError as error:
             problems[of_scene] = str(error)

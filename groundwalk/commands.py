@@ -116,12 +116,12 @@ def judge(
     undecided: there is ground truth, but less than that; **4** refused: no ground truth; **2** unreadable: the page
     says what is missing.
     """
-    folder = folder.expanduser().resolve()
+    folder = folder.resolve()
     if not folder.exists():
         raise UserError("there is no such capture", where=folder, expected="a folder of phone captures, or one of them")
     title = folder.stem if folder.is_file() else folder.name
     out = (out or Path("judged") / title).absolute()
-    name = re.sub(r"[^A-Za-z0-9_-]+", "-", title).strip("-_") or "capture"
+    name = re.sub(r"[^A-Za-z0-9_-]+", "-", title).strip("-_")[:80] or "capture"
     root = DataRoot(out / "data")
     if (SHIPPED_DATA / "scenes" / f"{name}.toml").exists():  # its settings are another place's
         name += "-capture"

@@ -30,11 +30,21 @@ def view(
 
 def link_folder(data: DataRoot, scene: str, folder: Path) -> None:
     """Make data/captures/<scene> a link to a folder of captures, which stays as it is. UserError where there is no such
-    folder, and where the scene has captures already."""
-    link, folder = data.captures(scene), folder.expanduser()
+    folder, where the data folder is in it, for a group of scenes, and where the scene has captures already."""
+    link, folder = data.captures(scene), folder.resolve()
     if not folder.is_dir():
         raise UserError("the captures folder isn't there", where=folder, expected="a folder of phone captures")
-    if link.resolve() == folder.resolve():
+    root = data.root.resolve()
+    if root.is_relative_to(folder) and not any(part.startswith(".") for part in root.relative_to(folder).parts):
+        raise UserError(
+            "results would be written into the captures, and read as such",
+            where=folder,
+            found=f"the data folder in it, {data.root}",
+            do="give the command in another folder, or name one with --data (judge: --out)",
+        )
+    if data.scene(scene)[0].is_group:
+        raise UserError(f"{scene} is a group of scenes, which has no captures of its own", do="name one of its scenes")
+    if link.resolve() == folder:
         return
     with locked(link):
         if link.is_symlink():
@@ -46,7 +56,7 @@ def link_folder(data: DataRoot, scene: str, folder: Path) -> None:
                 expected="nothing, or a link to other captures",
                 do="name another scene, or move that folder away",
             )
-        link.symlink_to(folder.resolve(), target_is_directory=True)
+        link.symlink_to(folder, target_is_directory=True)
 
 
 @app.command()

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from groundwalk.store.damage import as_user_error, causes, sentence
 from groundwalk.store.errors import UserError
@@ -44,9 +45,30 @@ _THREADS = ("OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMEXPR_MAX_THREADS", "NU
 _NUMBA_CONFIG = ".numba_config.yaml"
 
 
+class _Command(TyperCommand):
+    """A command that refuses an option given twice, of which the last would count, and an empty path, which would be
+    the current folder; and finds ~ where shells leave it alone: in --data=~/here."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        values, _, given = self.make_parser(ctx).parse_args(args=[*args])
+        for param in given:
+            if given.count(param) > 1 and not (getattr(param, "multiple", False) or getattr(param, "is_flag", False)):
+                raise UserError(f"{param.opts[0]} was given twice", do="give it once, or run the command once for each")
+        rest = super().parse_args(ctx, args)
+        for name, value in ctx.params.items():
+            if isinstance(value, Path):
+                if values.get(name) == "":
+                    raise UserError(f"the path {name!r} is empty", expected="a path; . is the current folder")
+                ctx.params[name] = Path(os.path.expanduser(value))  # noqa: PTH111 - it fails where there is no such user
+        return rest
+
+
 class App(typer.Typer):
     """A typer application that shows what a user or the machine caused in a few lines and exits with 2; with 130 after
     Ctrl-C, 143 after SIGTERM."""
+
+    def command(self, *args: Any, **options: Any) -> Any:
+        return super().command(*args, **{"cls": _Command, **options})
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         try:

@@ -250,6 +250,33 @@ def test_a_seed_that_no_library_takes_is_refused(tmp_path: Path) -> None:
             assert done.exit_code == 2 and "Invalid value for '--seed'" in done.output
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "--scene=A", "--scene", "B"], "--scene was given twice"),
+        (["run", "--scene=A", "--captures="], "the path 'captures' is empty"),
+        (["judge", ""], "the path 'folder' is empty"),
+    ],
+)
+def test_what_would_be_obeyed_in_part_or_in_the_current_folder_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match=said):
+        CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_home_folder_is_found_where_shells_leave_it_to_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    with_captures(DataRoot(tmp_path / "mine"), "place")
+    assert re.search("place +real", CliRunner().invoke(app, ["scenes", "--data=~/mine"]).output)
+    with pytest.raises(UserError, match="no such capture"):
+        CliRunner().invoke(app, ["judge", "~nobody-here/walk"], catch_exceptions=False)
+
+
 def test_the_first_step_that_fails_ends_a_run(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     data = DataRoot(tmp_path)
     with pytest.raises(SystemExit) as ended:

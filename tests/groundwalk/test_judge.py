@@ -55,6 +55,12 @@ def test_the_exit_status_is_the_verdict(
     assert [path.name for path in capture.iterdir()] == ["frame_00000.json"]
 
 
+def test_a_capture_may_have_a_longer_name_than_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(commands, "run_steps", stopped)
+    walk = written(tmp_path / ("a walk " * 20) / "frame_00000.json", "{}").parent
+    assert judge(walk, "--out", tmp_path / "out") == 143
+
+
 def test_a_single_file_is_judged_in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     video, roots = tmp_path / "my walk.mp4", list[DataRoot]()
     (tmp_path / "another.mp4").write_bytes(b"another")

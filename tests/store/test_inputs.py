@@ -17,7 +17,7 @@ from groundwalk.store.files import hash_files, sha256_of
 from groundwalk.store.locks import locked
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.outdated import is_up_to_date
-from tests.known import filled
+from tests.known import filled, written
 
 
 class ExampleSettings(Settings):
@@ -212,10 +212,22 @@ def test_captures_stay_while_any_stage_reads(data: DataRoot, tmp_path: Path) -> 
         with pytest.raises(UserError, match="under way"):
             clean_scene(data, "demo", "place")
         with pytest.raises(UserError, match="under way"):
-            link_folder(data, "place", tmp_path)
+            link_folder(data, "place", other)
 
+    (other := tmp_path / "other").mkdir()
     run(data, stage("align", "sfm", run=reading))
     assert clean_scene(data, "demo", "place").removed == [data.captures("place")]
+
+
+def test_captures_in_which_results_would_lie_and_those_of_a_group_are_refused(data: DataRoot, tmp_path: Path) -> None:
+    written(data.root / "scenes" / "two.toml", 'members = ["place", "other"]')
+    (walk := tmp_path / "walk").mkdir()
+    for scene, folder, why in (("two", walk, "two is a group"), ("mine", tmp_path, "results would be written into")):
+        with pytest.raises(UserError, match=why):
+            link_folder(data, scene, folder)
+        assert not data.captures(scene).is_symlink()
+    link_folder(hidden := DataRoot(walk / ".results"), "mine", walk)
+    assert hidden.captures("mine").resolve() == walk
 
 
 def flip(path: Path) -> None:
