@@ -16,10 +16,20 @@ import typer
 from groundwalk.cli import stage_of
 from groundwalk.pipeline import Step, run_steps
 from groundwalk.store import progress
+from groundwalk.store.child import ProcessDied
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
-from groundwalk.store.errors import UserError
-from groundwalk.store.files import CHANGE, KEY_FILE, link_or_copy, partial_folder, read_json, swap_in, write_json
+from groundwalk.store.errors import MachineError, UserError
+from groundwalk.store.files import (
+    CHANGE,
+    KEY_FILE,
+    link_or_copy,
+    partial_folder,
+    read_json,
+    swap_in,
+    write_json,
+    written_aside,
+)
 from groundwalk.store.hints import run_command
 from groundwalk.store.inputs import capture_files, has_capture_files, held
 from groundwalk.store.locks import locked
@@ -89,8 +99,9 @@ def _change(data: DataRoot, profile: str, scene: str, new: Path | None, gone: st
             with held(data, profile, [scene], _STAGES) as refuse_changed:
                 try:
                     _make(DataRoot(aside, run, holds=not refine), data, profile, scene, new, place)
-                except (UserError, OSError):
-                    shutil.rmtree(aside, ignore_errors=True)
+                except (UserError, OSError) as error:
+                    if not isinstance(error, MachineError | ProcessDied):  # of these the same command resumes
+                        shutil.rmtree(aside, ignore_errors=True)
                     raise
                 refuse_changed()
             write_json(aside / KEY_FILE, note | {"done": place.as_posix()})
@@ -153,7 +164,7 @@ def _make(changed: DataRoot, data: DataRoot, profile: str, scene: str, new: Path
         copy: Any = shutil.copytree if new.is_dir() else shutil.copy2
         copy(new, target / place)
     for name in _STAGES:
-        execute(stage_of(name), scene, profile, changed, None, load_manifest(data.run(profile, scene, name))["seed"])
+        execute(stage_of(name), scene, profile, changed)
 
 
 def _put_in_place(aside: Path, data: DataRoot, profile: str, scene: str, is_new: bool) -> None:
@@ -169,6 +180,11 @@ def _put_in_place(aside: Path, data: DataRoot, profile: str, scene: str, is_new:
             shutil.move(made.captures(scene) / done, arriving)
             arriving.rename(captures / done)
         elif not is_new and os.path.lexists(captures / done):
+            gone = (captures / done).resolve()
+            for link in filter(Path.is_symlink, capture_files(captures)):  # of others, that share its images
+                if (file := link.resolve()).is_relative_to(gone) and not link.is_relative_to(captures / done):
+                    with written_aside(link) as partial:
+                        link_or_copy(file, partial)
             removed = captures / ".removed" / done
             while os.path.lexists(removed):
                 removed = removed.with_name(f"{removed.name}~")

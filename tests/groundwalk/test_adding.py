@@ -17,10 +17,11 @@ from groundwalk.geometry.fits import fit_yaw
 from groundwalk.geometry.poses import rotation_angle
 from groundwalk.pipeline import is_step_up_to_date, steps
 from groundwalk.store import DataRoot, UserError, execute, stage
+from groundwalk.store.errors import MachineError
 from groundwalk.store.files import hash_files
 from groundwalk.store.inputs import capture_files
 from groundwalk.store.tables import poses_of
-from tests.known import put
+from tests.known import put, written
 from tests.sfm.textured_room import make_recording
 
 _STAGES = ("import", "sfm", "align")
@@ -219,6 +220,41 @@ def test_captures_that_are_links_into_a_hidden_folder_stay_as_import_saw_them(
         _command(data, "add", str(walks / "three"))
     added = {f"three/{name}": digest for name, digest in hashes(walks / "three").items()}
     assert seen == [hashes(captures) | added] and "one/frames.jsonl" in seen[0]
+
+
+def test_what_shares_images_with_a_recording_that_is_taken_out_keeps_them(tmp_path: Path) -> None:
+    data, aside = DataRoot(tmp_path / "data"), tmp_path / "aside"
+    captures = data.captures("room")
+    written(captures / "one" / "images" / "0.jpg", "an image")
+    (captures / "two").mkdir()
+    (link := captures / "two" / "0.jpg").symlink_to("../one/images/0.jpg")
+    (captures / "one" / "first.jpg").symlink_to("images/0.jpg")
+    written(aside / "key.json", '{"done": "one"}')
+    adding._put_in_place(aside, data, "tiny", "room", is_new=False)
+    assert link.read_text() == "an image" and not link.is_symlink()
+    assert (captures / ".removed" / "one" / "first.jpg").is_symlink()
+    assert {path.name for path in captures.iterdir()} == {"two", ".removed"}
+
+
+def test_a_command_that_the_machine_ends_resumes_as_it_says(
+    data: DataRoot, walks: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise MachineError("no space left on device", do="free some space; the same command resumes")
+
+    aside = data.run("tiny", "room") / ".change.partial"
+    with monkeypatch.context() as patched, pytest.raises(MachineError):
+        patched.setattr(stage, "execute", full)
+        _command(data, "add", str(walks / "three"))
+    made = written(aside / "runs" / "tiny" / "room" / ".sfm.partial" / "scratch" / "made", "")
+
+    def look(*_: object) -> None:
+        assert made.exists()
+        raise _Killed
+
+    with pytest.raises(_Killed):
+        monkeypatch.setattr(stage, "execute", look)
+        _command(data, "add", str(walks / "three"))
 
 
 @pytest.mark.slow
