@@ -45,8 +45,8 @@ _DEFAULT_MIB, _DEFAULT_MINUTES, _MARGIN = 4096, 60, 1.5
 _MEMORY_SHARE = 0.9  # of this machine's, for jobs that run here
 # Another node, or more memory, may do: words of errors that a stage ends with as it does with refusals.
 _MACHINES = (
-    "no space left|quota exceeded|memory is used up|allocate memory|input/output error|stale file handle"
-    "|another version of groundwalk"
+    "no space left|quota exceeded|memory is used up|allocate memory|died .SIGKILL|input/output error"
+    "|stale file handle|another version of groundwalk"
 )
 _SEVERAL_CORES = {"sfm", "localise", "train"}
 _MAX_CORES = 8

@@ -17,6 +17,7 @@ import rerun as rr
 
 from groundwalk.store import progress, recording
 from groundwalk.store.checkout import git_revision
+from groundwalk.store.child import ProcessDied
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.cores import machine
 from groundwalk.store.damage import free_bytes
@@ -82,9 +83,10 @@ class StageRun(Generic[S]):
         except UserError as error:
             if do := error.details["do"]:
                 error.details["do"] = of_scene(str(do), self.data, self.scene.name)
-            with contextlib.suppress(OSError):  # a full disk: what the user must know is the error
-                texts = {name: str(value) for name, value in error.details.items() if value is not None}
-                write_json(self.work / STOPPED, {"what": error.what, **texts})
+            if not isinstance(error, ProcessDied):  # killed for want of memory, mostly: nothing against the capture
+                with contextlib.suppress(OSError):  # a full disk: what the user must know is the error
+                    texts = {name: str(value) for name, value in error.details.items() if value is not None}
+                    write_json(self.work / STOPPED, {"what": error.what, **texts})
             raise
 
     @property

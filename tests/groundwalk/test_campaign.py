@@ -101,10 +101,14 @@ def test_a_refused_stage_is_reported_and_stops_no_other_scene(tmp_path: Path) ->
     assert done == {f"{ONE}/import", f"{ONE}/report"}
 
 
-def test_a_job_that_is_killed_is_run_again_with_more_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("end", ["kill -9 $$", "echo 'error: mapping: its process died (SIGKILL)'; exit 2"])
+def test_a_job_that_is_killed_is_run_again_with_more_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, end: str
+) -> None:
+    """The job itself, or a process that it started."""
     pytest.importorskip("snakemake", reason="campaigns are run by Snakemake: pip install -e '.[campaign]'")
     python = tmp_path / "python"  # killed twice, as by a system without memory
-    python.write_text('#!/bin/sh\ncd "${0%/*}"; echo >> times; [ $(wc -l < times) = 3 ] || kill -9 $$\n')
+    python.write_text(f'#!/bin/sh\ncd "${{0%/*}}"; echo >> times; [ $(wc -l < times) = 3 ] || {{ {end}; }}\n')
     python.chmod(0o755)
     folder = tmp_path / "campaign"
     with monkeypatch.context() as patched:

@@ -16,6 +16,7 @@ import pytest
 from groundwalk.store import DataRoot, StageRun, UserError, execute
 from groundwalk.store.child import ProcessDied, Report, Task, in_child, preload
 from groundwalk.store.cli import stage_app
+from groundwalk.store.files import STOPPED, partial_folder
 from groundwalk.store.registry import Lazy
 from groundwalk.store.signals import Stopped, handlers_kept, signals_raise
 from tests.known import filled, wait_until
@@ -81,6 +82,8 @@ def test_advice_after_a_failure_says_what_the_same_command_does(data: DataRoot, 
     for run, advice in ((dies, "take fewer; "), (fills, "free some space; ")):
         with pytest.raises(UserError, match=f"{advice}.*{again}"):
             execute(stage(run), "place", "tiny", data, force=force)
+        # Neither says anything of the capture: the report has it not judged yet, and not refused.
+        assert not (partial_folder(data.run("tiny", "place", "import")) / STOPPED).exists()
 
 
 LIBRARY = "a library's"
