@@ -77,7 +77,7 @@ def refuse_lists(rules: SplitRules, recordings: Sequence[str]) -> None:
     """UserError where the lists of `rules` can't fit a capture of these recordings, before their images are read: they
     name others, or leave none to train or to test on. Parts of a recording (walk.part2) are known later."""
     listed = [*(rules.test or []), *(rules.train or [])]
-    if unknown := [name for name in listed if re.sub(r"\.(part|camera)\d+$", "", name) not in recordings]:
+    if unknown := [name for name in listed if not {name, re.sub(r"\.(part|camera)\d+$", "", name)} & {*recordings}]:
         raise _no_session(unknown[0], recordings)
     if listed and not (rules.test and rules.train) and set(recordings) <= set(listed):
         side = "train" if rules.test else "test"

@@ -170,6 +170,7 @@ def test_lists_decide_and_those_that_cannot_fit_are_refused_before_images_are_re
         split_frames(frames_of(walk=t, walk__part2=t + 60), SplitRules(test=["walk", "walk.part2"]), by_time=False)
     refuse_lists(SplitRules(), ["a"])
     refuse_lists(SplitRules(test=["a", "b.part2"]), ["a", "b", "c"])
+    refuse_lists(SplitRules(test=["b.part2"]), ["a", "b.part2"])  # a folder's own name
     for rules, refusal in (
         (SplitRules(test=["a"], train=["z"]), r"(?s)no such session.*one of a, b\n.*found: +z"),
         (SplitRules(test=["a", "b"]), "no frame to train on"),
