@@ -325,6 +325,8 @@ def _captures(data: DataRoot, scene: str) -> str:
         data.leaves(config)
         return f"those of {', '.join(config.members)}"
     folder = data.captures(scene)
+    if folder.is_symlink() and not folder.exists():
+        return f"a link to {folder.readlink()}, which isn't there"
     if marker := marker_of(folder):
         return f"simulated, profile {marker.get('profile', 'unknown')}"
     if files := capture_files(folder):

@@ -118,8 +118,10 @@ class DataRoot:
         return sorted(path.stem for path in self.files(kind).values() if path.suffix == ".toml")
 
     def scenes(self) -> list[str]:
-        """The names of all scenes and groups of scenes: those with a file, and the folders of captures/."""
-        folders = {path.name for path in (self.root / "captures").glob("*") if path.is_dir()}
+        """The names of all scenes and groups of scenes: those with a file, captures or a run, and those whose captures
+        are a link to what isn't there now, as on a disk that isn't mounted."""
+        places = (path for folder in ("captures", "runs/*") for path in self.root.glob(f"{folder}/*"))
+        folders = {path.name for path in places if path.is_dir() or path.is_symlink()}
         return sorted({*self.names("scenes"), *filter(is_name, folders)})
 
     def profile(self, name: str) -> dict[str, Any]:

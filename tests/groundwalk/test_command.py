@@ -153,6 +153,17 @@ def test_scenes_names_a_broken_file_beside_the_others_and_outdated_stages(tmp_pa
     assert "tiny: import, sfm (outdated), align (outdated)" in lines["Own"]
 
 
+def test_scenes_names_those_whose_captures_are_gone(tmp_path: Path) -> None:
+    data = DataRoot(tmp_path)
+    for scene in ("Moved", "Unmounted"):
+        written(data.run("tiny", scene, "import") / "manifest.json", "{}")
+    data.captures("Unmounted").parent.mkdir()
+    data.captures("Unmounted").symlink_to("/mnt/nothing")
+    printed = scenes(tmp_path)
+    assert re.search("Moved +none +tiny: import", printed)
+    assert re.search("Unmounted +a link to /mnt/nothing, which isn't there +tiny: import", printed)
+
+
 def test_scenes_shows_what_strangers_wrote_as_text(tmp_path: Path) -> None:
     evil = "[/x] \x1b[2J [bold]\u202e"
     written(tmp_path / "profiles" / "evil.toml", f"description = {json.dumps(evil)}")
