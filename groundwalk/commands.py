@@ -223,6 +223,7 @@ def compare(
 def _compared(run_name: str, name: str, profile: str, data: Path) -> "ComparedRun":
     from groundwalk.opening import open_run
     from groundwalk.reports.comparison import ComparedRun
+    from groundwalk.store.choices import MapUnit
     from groundwalk.store.schemas import schema
     from groundwalk.store.tables import map_unit
 
@@ -236,10 +237,12 @@ def _compared(run_name: str, name: str, profile: str, data: Path) -> "ComparedRu
         return empty
 
     truth = table("align", "ground_truth")
+    # A group of scenes, which has no ground truth of its own, is in metres where all of its scenes are.
+    units = [map_unit(truth)] if len(truth) else map(MapUnit, table("fuse", "summary")["map_unit"].dropna())
     return ComparedRun(
         name=name,
         manifests=run.manifests,
-        unit=map_unit(truth),
+        unit=next((unit for unit in units if unit is not MapUnit.METRE), MapUnit.METRE),
         ground_truth=truth,
         errors=table("fuse", "errors"),
         validation=table("fuse", "validation"),

@@ -131,10 +131,9 @@ def missing(first: ComparedRun, other: ComparedRun) -> list[Missing]:
 
 def why_no_positions(first: ComparedRun, other: ComparedRun) -> str:
     """Why positions of two runs aren't compared; empty where they are. Each map of SfM has a unit of its own."""
-    if first.ground_truth.empty or other.ground_truth.empty:
-        return ""
     before, after = (poses_of(run.ground_truth, "map_cam") for run in (first, other))
-    if first.unit is other.unit and (first.unit is not MapUnit.SFM or np.array_equal(before, after, equal_nan=True)):
+    is_one_map = len(before) > 0 and np.array_equal(before, after, equal_nan=True)
+    if first.unit is other.unit and (first.unit is not MapUnit.SFM or is_one_map):
         return ""
     units = f"{other.name} is in {other.unit}, {first.name} in {first.unit}"
     own = ", which is another in each map" if first.unit is other.unit else ""

@@ -95,6 +95,9 @@ def test_positions_are_compared_in_one_unit_only() -> None:
     assert "another in each map" in why_no_positions(sfm, moved)
     for run in (metric, sfm, reference):
         assert why_no_positions(run, run) == "" and len(differences(run, run)) == 6
+    # Groups of scenes have no ground truth of their own.
+    group = replace(run_with(ERRORS), unit=MapUnit.SFM)
+    assert "another in each map" in why_no_positions(group, group)
 
 
 def test_the_command_fails_on_what_is_missing_and_says_what(make_run: Callable[..., DataRoot], tmp_path: Path) -> None:
@@ -134,6 +137,17 @@ def test_the_command_fails_on_what_is_missing_and_says_what(make_run: Callable[.
     assert status == 1 and "median position" not in page and "median rotation" in page
     assert "positions aren't compared" in printed and "Positions aren&#39;t compared" in page
     assert compare(without_scale, "Yard")[0] == 0
+
+    # As of a group of scenes, which has no ground truth of its own.
+    groups = [other(name, lambda t: t) for name in ("group", "again")]
+    summary = filled("fuse", "summary", 1, map_unit=MapUnit.SFM)
+    write_table(groups[0] / "fuse" / "summary.parquet", summary, schema("fuse", "summary"))
+    manifest = read_json(groups[0] / "fuse" / "manifest.json") | {"outputs": output_hashes(groups[0] / "fuse")}
+    write_json(groups[0] / "fuse" / "manifest.json", manifest)
+    for run in groups:
+        shutil.rmtree(run / "align")
+    status, printed, page = compare(groups[1], groups[0])
+    assert status == 1 and "positions aren't compared" in printed and "median position" not in page
 
     stopped = other("stopped", lambda t: t)
     shutil.rmtree(stopped / "fuse")
