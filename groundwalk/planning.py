@@ -228,10 +228,10 @@ def _print(rows: list[Estimate]) -> None:
     hours = [row.gpu_hours for row in rows if row.stage == "train"]
     gpu_hours = sum(h or 0 for h in hours) if hours and None not in hours else None
     sums = numbers(
-        sum(row.minutes or 0 for row in measured),
+        sum(row.minutes or 0 for row in measured) if measured else None,
         gpu_hours,
-        sum(row.disk_gib or 0 for row in rows),
-        max((row.peak_mib or 0 for row in rows), default=0),
+        sum(row.disk_gib or 0 for row in measured) if measured else None,
+        max((row.peak_mib or 0 for row in measured), default=None),
     )
     table.add_row("", "sum", "", "", "", *sums)
     progress.stdout.print(table)

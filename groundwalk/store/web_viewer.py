@@ -25,8 +25,10 @@ from typing import Any
 from urllib.parse import quote
 
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import RECORDING
+from groundwalk.store.files import RECORDING, read_json
 from groundwalk.store.hints import run_command
+from groundwalk.store.manifests import MANIFEST, outdated_stages
+from groundwalk.store.progress import console
 from groundwalk.store.settings import STAGES
 
 _LOOPBACK = "127.0.0.1"
@@ -41,6 +43,10 @@ def view_run(folder: Path, *, web: bool) -> int:
     files = [path for stage in STAGES if (path := folder / stage / RECORDING).is_file()]
     if not files:
         raise UserError("there is no recording to view", where=folder, do=run_command(folder / STAGES[-1]))
+    manifests = {stage: read_json(folder / stage / MANIFEST) for stage in STAGES}
+    known = {stage: manifest for stage, manifest in manifests.items() if isinstance(manifest.get("scene"), dict)}
+    for stage, of in outdated_stages(folder, known).items():
+        console.print(f"warning: {stage} is outdated: {of} was run again since")
     return view_in_browser(files) if web else view_in_window(files)
 
 

@@ -1,5 +1,6 @@
 """What runs would take, by finished runs that are made up."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -92,4 +93,5 @@ def test_a_capture_must_be_imported_to_be_counted_and_no_run_is_a_refusal(tmp_pa
     with pytest.raises(UserError, match=r"no finished run[\s\S]*groundwalk run"):
         CliRunner().invoke(app, arguments, catch_exceptions=False)
     finish_import(DataRoot(tmp_path), "tiny", "other", 10)
-    assert "import first, to count: mine" in CliRunner().invoke(app, arguments, catch_exceptions=False).output
+    said = CliRunner().invoke(app, arguments, catch_exceptions=False).output
+    assert "import first, to count: mine" in said and re.search("sum( +–){4}", said)

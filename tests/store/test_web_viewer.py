@@ -1,6 +1,7 @@
 """The viewer's page comes from this machine, asks this machine, and answers to no other name."""
 
 import contextlib
+import json
 import os
 import re
 import signal
@@ -15,7 +16,9 @@ from urllib.parse import parse_qs, urlsplit
 import pytest
 import rerun as rr
 
+from groundwalk.store import web_viewer
 from groundwalk.store.web_viewer import PageServer, view_in_window
+from tests.known import written
 
 _VIEW = """
 import sys, webbrowser
@@ -94,6 +97,18 @@ def test_a_window_gets_recordings_through_a_pipe(
     assert view_in_window([recording, recording]) == 0
     assert (tmp_path / "arguments").read_text() == "--bind 127.0.0.1 - --port auto\n"
     assert (tmp_path / "read").read_bytes() == 2 * recording.read_bytes()
+
+
+def test_recordings_of_outdated_stages_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for stage, inputs in {"sfm": {}, "align": {"place/sfm": {"t": "old"}}, "import": {}}.items():
+        made = {"outputs": {"t": "now"}, "simulated": False, "scene": {"name": "place"}, "inputs": inputs}
+        written(tmp_path / stage / "manifest.json", json.dumps(made))
+        written(tmp_path / stage / "recording.rrd", "")
+    monkeypatch.setattr(web_viewer, "view_in_window", len)
+    assert web_viewer.view_run(tmp_path, web=False) == 3
+    assert capfd.readouterr().err == "warning: align is outdated: sfm of scene place was run again since\n"
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1:1", "192.168.0.1:{port}"])
