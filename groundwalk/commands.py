@@ -238,7 +238,8 @@ def _compared(run_name: str, name: str, profile: str, data: Path) -> "ComparedRu
 
     truth = table("align", "ground_truth")
     # A group of scenes, which has no ground truth of its own, is in metres where all of its scenes are.
-    units = [map_unit(truth)] if len(truth) else map(MapUnit, table("fuse", "summary")["map_unit"].dropna())
+    in_fuse = table("fuse", "summary")["map_unit"].dropna()
+    units = [map_unit(truth)] if len(truth) else [MapUnit(unit) for unit in in_fuse]
     return ComparedRun(
         name=name,
         manifests=run.manifests,
