@@ -1,11 +1,12 @@
 """Scale and vertical of each SfM model, where each lies in the map, and all checks before ground truth is given out."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
 
+from groundwalk.alignment.checks.definitions import DEFINITIONS
 from groundwalk.alignment.checks.models import check_links, check_registration, check_standard_errors, missing_scale
 from groundwalk.alignment.checks.results import (
     CheckResult,
@@ -32,7 +33,7 @@ from groundwalk.consistency.decisions import Status
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array
 from groundwalk.store import UserError
-from groundwalk.store.choices import FailureCause
+from groundwalk.store.choices import CheckName, FailureCause
 from groundwalk.store.hints import setting_of
 
 # A frame of class A or B is within these of its true pose with 95 %: a reference pose further away confirms neither.
@@ -98,7 +99,8 @@ class CheckedMap:
 class AlignInputs:
     """What the alignment works on: import's tables `frames` and `jumps`, each session's recording, SfM's tables, rulers
     as measured in SfM's models, a data set's reference poses. `gravity_tested`: the recordings whose gravity import has
-    found confirmed by the images. `given`: the first model's scale and vertical, for what it lacks of them."""
+    found confirmed by the images. `given`: the first model's scale and vertical, for what it lacks of them. `numbers`:
+    those that models, by their ids, have in a map that stays as it is."""
 
     frames: pd.DataFrame
     sfm: SfmTables
@@ -108,6 +110,7 @@ class AlignInputs:
     reference: Reference | None = None
     gravity_tested: frozenset[str] = frozenset()
     given: GivenFrame = NOT_GIVEN
+    numbers: Mapping[str, int] = field(default_factory=dict)
 
 
 def check_models(inputs: AlignInputs, settings: AlignSettings) -> CheckedMap:
@@ -124,7 +127,7 @@ def check_models(inputs: AlignInputs, settings: AlignSettings) -> CheckedMap:
             found=f"0 of {len(inputs.frames)} frames registered",
             do="look at the sfm recording and its pairs table",
         )
-    names, segments = cut_segments(inputs.frames, inputs.sfm.images, inputs.jumps, inputs.recordings)
+    names, segments = cut_segments(inputs.frames, inputs.sfm.images, inputs.jumps, inputs.recordings, inputs.numbers)
     models = [(name, [s for s in segments if s.component == index]) for index, name in enumerate(names)]
     checks = check_registration(inputs.frames, registered, inputs.recordings, settings.min_registered_fraction)
     if inputs.reference is not None and inputs.reference.gives_map:
@@ -285,7 +288,7 @@ def refusal(checked: CheckedMap, frames: pd.DataFrame, settings: AlignSettings) 
             where="sfm.images",
             expected=f"at least {settings.min_registered_fraction:.0%} of them",
             found=f"{registered.sum()} of {len(registered)} ({registered_fraction:.0%})",
-            do=checked.checks[0].advice,
+            do=DEFINITIONS[CheckName.REGISTERED].remedy,
         )
     fraction, main = passed.sum() / registered.sum(), main_failure(checked.checks)
     if main is None or (fraction >= settings.min_consistent_fraction and passed.any()):
@@ -293,7 +296,7 @@ def refusal(checked: CheckedMap, frames: pd.DataFrame, settings: AlignSettings) 
     failed = len(with_status(checked.checks, Status.FAILED))
     return UserError(
         f"the SfM model fails its consistency checks: {main.cause}",
-        where=_place_of(main, checked, frames),
+        where=_place_of(main, checked.checks, frames),
         expected=f"ground truth for at least {settings.min_consistent_fraction:.0%} of the registered frames",
         found=f"{passed.sum()} of {registered.sum()} ({fraction:.0%}); {failed} of {len(checked.checks)} checks "
         f"failed; {main.reason}",
@@ -301,12 +304,14 @@ def refusal(checked: CheckedMap, frames: pd.DataFrame, settings: AlignSettings) 
     )
 
 
-def _place_of(check: CheckResult, checked: CheckedMap, frames: pd.DataFrame) -> str:
+def _place_of(check: CheckResult, checks: Sequence[CheckResult], frames: pd.DataFrame) -> str:
     """Where a check failed: its session or model, or the frames of the worst window."""
     if check.subject.t_ns is not None:
-        worst = max(checked.windows, key=lambda w: float(w.position_m.max() / w.limit_m))
-        ids = frames["frame_id"].to_numpy(str)[worst.segment.rows[worst.inside]]
-        return f"worst from {ids[0]} to {ids[-1]}"
+        failed = [c for c in with_status(checks, Status.FAILED) if c.name is check.name]
+        worst = max(failed, key=lambda c: (c.value or 0.0) / c.limit).subject
+        assert worst.t_ns is not None  # as all of that name
+        of_session = frames[frames["session_id"] == worst.session_id].set_index("t_ns")["frame_id"]
+        return f"worst from {of_session[worst.t_ns[0]]} to {of_session[worst.t_ns[-1]]}"
     if check.subject.session_id:
         return f"session {check.subject.session_id}"
     return f"model {check.subject.component}"

@@ -17,6 +17,14 @@ from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of, read_table
 
 
+def model_numbers(images: pd.DataFrame, before: Path) -> dict[str, int]:
+    """The number that each of SfM's models (of its table `images`) has in the map of the artefact `before`, by its id:
+    added frames may make another one the largest."""
+    component = images["frame_id"].map(_truth(before).set_index("frame_id")["component"])
+    numbers = component.dropna().groupby(images["model_id"]).min()
+    return {str(model_id): int(number) for model_id, number in numbers.items()}
+
+
 def in_map_before(checked: CheckedMap, frames: pd.DataFrame, images: pd.DataFrame, before: Path) -> CheckedMap:
     """The models where the artefact `before` has them, with its scale and vertical and their standard errors. `frames`
     is import's table, `images` SfM's in its order."""
@@ -24,17 +32,19 @@ def in_map_before(checked: CheckedMap, frames: pd.DataFrame, images: pd.DataFram
     map_T_cam = poses_of(truth.set_index("frame_id").reindex(frames["frame_id"]), "map_cam")
     sfm_T_cam, has_truth = poses_of(images, "sfm_cam"), np.isfinite(map_T_cam[:, 0, 0])
     placed, exclusion = [], checked.frames.exclusion.copy()
-    for number, each in enumerate(checked.placed):
+    main = set(truth.loc[truth["component"] == truth["component"].min(), "frame_id"])
+    for each in checked.placed:
         component = each.component
         known = component.registered_rows[has_truth[component.registered_rows]]
         if len(known) < 2:  # none of them was in the map
             exclusion[component.registered_rows] = "its SfM model isn't in the map that was there"
             continue
         # The same similarity took each of these rows to the map.
-        scale = None if number else figures["metres_per_sfm_unit"]
+        is_main = frames["frame_id"].iloc[known[0]] in main
+        scale = figures["metres_per_sfm_unit"] if is_main else None
         map_S_sfm = similarity_of_poses(map_T_cam[known], sfm_T_cam[known], scale)
         sds = (component.scale.sd, component.vertical.sd)
-        if not number:
+        if is_main:
             scale_sd, tilt_deg = figures["scale_sd"], figures["vertical_sd_deg"]
             sds = (np.nan if scale_sd is None else scale_sd, np.radians(np.nan if tilt_deg is None else tilt_deg))
         component = replace(

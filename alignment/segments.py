@@ -1,6 +1,6 @@
 """Segments of sessions: SfM and VIO poses of the same frames, cut where VIO jumped."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -94,15 +94,19 @@ def sessions_of(segments: Sequence[Segment]) -> list[str]:
 
 
 def cut_segments(
-    frames: pd.DataFrame, images: pd.DataFrame, jumps: pd.DataFrame, recordings: dict[str, str]
+    frames: pd.DataFrame,
+    images: pd.DataFrame,
+    jumps: pd.DataFrame,
+    recordings: dict[str, str],
+    numbers: Mapping[str, int],
 ) -> tuple[list[str], list[Segment]]:
-    """SfM's models that frames are registered in, largest first, and all segments, by session and time; cut at VIO
-    jumps, and each of one model.
+    """SfM's models that frames are registered in, those with `numbers` in their order, then the largest first, and all
+    segments, by session and time; cut at VIO jumps, and each of one model.
 
     `frames` and `jumps` are import's tables, `images` SfM's in the order of `frames`; `recordings` names each session's
     recording. A pose of limited or lost tracking counts as none.
     """
-    names, component = _frame_components(frames, images)
+    names, component = _frame_components(frames, images, numbers)
     sfm_T_cam = poses_of(images, "sfm_cam")
     sfm_T_cam[~images["registered"].to_numpy(bool)] = np.nan
     vio_T_cam = poses_of(frames, "vio_cam")
@@ -138,15 +142,17 @@ def cut_segments(
     return names, segments
 
 
-def _frame_components(frames: pd.DataFrame, images: pd.DataFrame) -> tuple[list[str], np.ndarray]:
-    """The models that frames are registered in, largest first, and for each frame (N,) the index of its model.
+def _frame_components(
+    frames: pd.DataFrame, images: pd.DataFrame, numbers: Mapping[str, int]
+) -> tuple[list[str], np.ndarray]:
+    """The models that frames are registered in, ordered as by `cut_segments`, and each frame's (N,) index of its model.
 
     `images` are SfM's, in the order of `frames`. A frame that isn't registered counts to the model of the registered
     frame of its session that is nearest in time, or to the first.
     """
     registered = images["registered"].to_numpy(bool)
     counts = images.loc[registered, "model_id"].value_counts()
-    names = sorted(counts.index, key=lambda name: (-counts[name], name))
+    names = sorted(counts.index, key=lambda name: (numbers.get(name, np.inf), -counts[name], name))
     component = images["model_id"].map({name: i for i, name in enumerate(names)}).fillna(0).to_numpy(int).copy()
     t_ns, session = frames["t_ns"].to_numpy(np.int64), frames["session_id"].to_numpy(str)
     for row in np.flatnonzero(~registered):

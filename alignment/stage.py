@@ -102,6 +102,7 @@ def _read(r: StageRun[AlignSettings]) -> AlignInputs:
     # SfM's poses go with its cameras.
     frames = with_cameras(frames, sfm.images)
     return AlignInputs(
+        numbers=held.model_numbers(sfm.images, r.before) if r.before is not None and r.holds else {},
         frames=frames,
         sfm=sfm,
         jumps=r.read("import", "jumps"),
