@@ -141,6 +141,8 @@ class HeldArtefact:
             new, of_model = np.flatnonzero(self.is_new & (model.model == number)), model.model[known.index] == number
             old, of_old = known.index[of_model].to_numpy(), covariance[of_model]
             common = (seen[new] @ seen[old].T).toarray()
+            if not common.any():  # no frame of the map whose error is known has a point in common
+                continue
             common[~common.any(axis=1)] = common.sum(axis=0)
             for row, weight in zip(new, common, strict=True):
                 moved = np.tile(np.eye(6), (len(old), 1, 1))

@@ -31,7 +31,7 @@ _FRUSTUM = 0.5  # in median steps
 def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, pairs_table: pd.DataFrame) -> None:
     """Write recording.rrd: the models upright and side by side, and frame by frame what each image sees of them."""
     registered = np.flatnonzero(model.registered)
-    model = _side_by_side(model, poses_of(frames, "vio_cam"))
+    model = side_by_side(model, poses_of(frames, "vio_cam"))
     centres = model.sfm_T_cam[:, :3, 3]
     with r.recording(_blueprint()) as stream:
         stream.log("/", UP_AXIS, static=True)
@@ -94,7 +94,7 @@ def _blueprint() -> rrb.Blueprint:
     )
 
 
-def _side_by_side(model: Model, vio_T_cam: Array) -> Model:
+def side_by_side(model: Model, vio_T_cam: Array) -> Model:
     """The models upright, one beside the other along x, in units of the median step of each.
 
     They share no gauge, so the place and size of one against another mean nothing.
@@ -103,8 +103,11 @@ def _side_by_side(model: Model, vio_T_cam: Array) -> Model:
     beside = 0.0
     for number in range(int(model.model.max()) + 1):
         members, points = model.model == number, model.point_model == number
+        if not members.any():  # all its frames were taken out
+            continue
         centres = sfm_T_cam[members, :3, 3]
-        step = float(np.median(np.linalg.norm(np.diff(centres, axis=0), axis=1)))
+        steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
+        step = (float(np.median(steps)) if len(steps) else 0.0) or 1.0
         upright, known = np.eye(3), members & np.isfinite(vio_T_cam).all(axis=(1, 2))
         if known.any():
             # vio's +y in camera axes is the second row of vio_R_cam.
