@@ -38,8 +38,9 @@ from groundwalk.store.parallel import one_thread
 ESTIMATED_SD = 0.05
 """Of such a focal length, as a fraction: round one object, or of few images, it comes out some per cent off. So ones
 that are known better aren't estimated."""
-# As many images that follow each other, all pairs of which are matched.
-_MAX_IMAGES = 30
+# As many images, all pairs of which are matched; of each session such as follow each other, and so many of each even
+# where these are more together.
+_MAX_IMAGES, _IMAGES_OF_EACH = 30, 10
 # Where nothing is stated: what mapping starts from, in longer sides of the image. Phones' main cameras, and others.
 _STARTS, _GUESS_SD = (0.75, 1.2), 0.2
 _MIN_IMAGES = 3
@@ -57,13 +58,18 @@ _FAR = 1e3  # of points that the lens can't see
 
 def sample_unstated(frames: pd.DataFrame) -> Ints:
     """Rows of the frames table whose focal lengths nothing states well, of each session those of its most usual size,
-    of either orientation: all, or so many from the middle of their order."""
+    of either orientation: all, or so many of each from the middle of its order."""
     sides = frames[["width", "height"]]
     size = sides.max(axis=1).astype(str) + "x" + sides.min(axis=1).astype(str)
     usual = size.groupby(frames["session_id"]).transform(lambda of_session: of_session.mode().iloc[0])
     rows = np.flatnonzero((frames["focal_sd"] >= ESTIMATED_SD) & (size == usual))
-    first = max(0, (len(rows) - _MAX_IMAGES) // 2)
-    return rows[first : first + _MAX_IMAGES]
+    of_session = frames.iloc[rows].groupby("session_id")["session_id"]
+    place, count = of_session.cumcount(), of_session.transform("size")
+    most = _MAX_IMAGES
+    while most > _IMAGES_OF_EACH and of_session.size().clip(upper=most).sum() > _MAX_IMAGES:
+        most -= 1
+    first = ((count - most) // 2).clip(lower=0)
+    return rows[((place >= first) & (place < first + most)).to_numpy(bool)]
 
 
 def estimate_focal_lengths(

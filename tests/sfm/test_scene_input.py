@@ -4,9 +4,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
+from groundwalk.sfm.cameras.starts import sample_unstated
 from groundwalk.sfm.database import Workspace
 from groundwalk.sfm.scene_input import with_focal_lengths
 from groundwalk.sfm.settings import SfmSettings
@@ -34,3 +36,17 @@ def test_images_beat_exif_where_they_are_many_or_far_off_it(
     used = with_focal_lengths(run, pd.DataFrame([frame] * photos), work)
     assert used[["fx", "fy"]].to_numpy() == pytest.approx(used_px)
     assert any("EXIF states" in line for line in said) == is_told
+
+
+@pytest.mark.parametrize(
+    ("images", "sampled"), [([100], [30]), ([100, 100, 100], [10, 10, 10]), ([200, 3], [27, 3]), ([20, 5], [20, 5])]
+)
+def test_each_of_several_videos_has_a_part_in_what_tells_their_focal_lengths(
+    images: list[int], sampled: list[int]
+) -> None:
+    session = np.repeat(np.arange(len(images)), images)
+    frames = pd.DataFrame({"session_id": session.astype(str), "width": 1920, "height": 1080, "focal_sd": 0.5})
+    rows = sample_unstated(frames)
+    assert np.bincount(session[rows]).tolist() == sampled
+    for one in np.unique(session):
+        assert (np.diff(rows[session[rows] == one]) == 1).all()
