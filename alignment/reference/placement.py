@@ -70,20 +70,22 @@ def check_session_references(
         count, away = int(of_session.sum()), compared[of_session & is_away]
         if not count:
             continue
-        position, degrees = np.median(fit.position[of_session]), np.median(np.degrees(fit.rotation[of_session]))
-        reason = (
-            f"{len(away)} of {count} frames of {session_id} are away from their reference poses, by {position:.3g} "
-            f"and {degrees:.1f} degrees (medians)"
-        )
-        limit = 1 - limits.min_consistent
+        reason, limit = "", 1 - limits.min_consistent
         if len(away) / count > limit:
+            off = of_session & is_away
+            position, degrees = np.median(fit.position[off]), np.median(np.degrees(fit.rotation[off]))
+            unit = "m" if reference.is_metric else "of its unit"
             at = compared[of_session]
             at = at[np.argsort(frames["t_ns"].to_numpy()[at], kind="stable")]
             sfm_T_cam = np.full_like(reference.map_T_cam, np.nan)
             for segment in component.segments:
                 sfm_T_cam[segment.rows] = segment.sfm_T_cam
             ids = frames["frame_id"].to_numpy(str)[at]
-            reason = f"{reason}: {explain(reference.map_T_cam[at], sfm_T_cam[at], ids, limits)}"
+            reason = (
+                f"{len(away)} of {count} frames of {session_id} are away from their reference poses, by {position:.3g} "
+                f"{unit} and {degrees:.1f} degrees (medians of these): "
+                f"{explain(reference.map_T_cam[at], sfm_T_cam[at], ids, limits)}"
+            )
         failure = Failure(cause=FailureCause.REFERENCE_INCONSISTENT, reason=reason, rows=rows)
         subject, fraction = Subject(count, session_id, component.index), Quantity(len(away) / count)
         result = evaluate(CheckName.SESSION_REFERENCE, subject, fraction, limit, failure)

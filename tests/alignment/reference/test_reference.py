@@ -130,6 +130,14 @@ def test_a_session_in_another_world_is_refused_by_name(walks: Walks) -> None:
     assert failed["cause"] == "SfM and reference inconsistent"
 
 
+def test_how_far_frames_are_away_is_of_those_that_are(walks: Walks) -> None:
+    scene = of_images(walks.make(sessions=3))
+    reference = WORLD.poses(scene.true_T_cam)
+    reference[60:93, 1, 3] += 50.0
+    (failed,) = run(scene, stated(reference)).checks.query("status == 'failed'")["reason"]
+    assert failed.startswith("33 of 60 frames of walk1 are away from their reference poses, by 50 ")
+
+
 def test_a_reference_that_nothing_agrees_with_is_refused(walks: Walks) -> None:
     scene = of_images(walks.make(sessions=2))
     shuffled = WORLD.poses(scene.true_T_cam)[np.random.default_rng(0).permutation(len(scene.frames))]
