@@ -51,10 +51,17 @@ def read_depth(path: Path, confidence: Path | None, sha256: str) -> tuple[Array,
     millimetres = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if millimetres is None:
         raise UserError("a depth image can't be read", where=path, do="import the scene again")
-    levels = None if confidence is None else cv2.imread(str(confidence), cv2.IMREAD_UNCHANGED)
     metres = np.asarray(millimetres, dtype=float) / 1000
-    if levels is None:
+    if confidence is None:
         return metres, np.full(metres.shape, -1)
+    levels = cv2.imread(str(confidence), cv2.IMREAD_UNCHANGED)
+    if levels is None or levels.shape != metres.shape:
+        raise UserError(
+            "the confidence of a depth image isn't as import saw it",
+            where=confidence,
+            found="no image that can be read" if levels is None else f"{levels.shape}, of a depth image {metres.shape}",
+            do="put it back, or import the scene again",
+        )
     level = np.asarray(levels, dtype=np.int64)
     return metres, np.where(level > HIGH_CONFIDENCE, (level + 1) // 127, level).clip(0, HIGH_CONFIDENCE)
 

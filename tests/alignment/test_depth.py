@@ -148,6 +148,12 @@ def test_both_ways_of_writing_confidence_mean_the_same(tmp_path: Path, levels: t
     assert confidence.tolist() == [[0, 1, 2]] and (metres == 1.25).all()
 
 
+def test_confidence_that_is_gone_since_import_is_not_taken_for_unknown(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "d.png"), np.full((1, 3), 1250, np.uint16))
+    with pytest.raises(UserError, match=r"confidence(.|\n)*c.png"):
+        read_depth(tmp_path / "d.png", tmp_path / "c.png", sha256_of(tmp_path / "d.png"))
+
+
 def test_depth_that_import_has_not_seen_is_refused(scene: Placed, tmp_path: Path) -> None:
     (tmp_path / "depth3.png").write_bytes((tmp_path / "depth4.png").read_bytes())
     with pytest.raises(UserError, match=r"isn't as import saw it(.|\n)*depth3.png"):
