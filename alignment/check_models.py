@@ -187,7 +187,8 @@ def _component(
     if given.vertical is not None and not vertical.source.is_known:
         vertical = replace(given.vertical, recordings=vertical.recordings, is_agreed=vertical.is_agreed)
     if index and not scale.is_known:
-        why = "VIO hardly moves in it" if any(s.has_vio.any() for s in segments) else "it has no VIO"
+        has_vio = any(s.has_vio.any() for s in segments)
+        why = "VIO hardly moves in it" if has_vio else "it has no VIO, or none but of limited tracking"
         reason = f"its SfM model has no metric scale: {why}"
         return missing_scale(index, rows, FailureCause.DISCONNECTED_SESSION, reason)
     return Component(

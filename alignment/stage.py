@@ -270,7 +270,7 @@ def _describe_scale(scale: MapScale, has_vio: bool) -> str:
         per_unit = f"{np.exp(scale.log):.6g} of it per SfM unit"
         return f"NO METRIC SCALE: all lengths are in the reference's unknown unit, {per_unit}"
     if not scale.is_known:
-        why = "VIO hardly moves" if has_vio else "there is no VIO"
+        why = "VIO hardly moves" if has_vio else "there is no VIO, or none but of limited tracking"
         add = "a longer walk or a ruler" if has_vio else "a ruler, surveyed points or a recording with VIO"
         return f"NO METRIC SCALE: {why}, all lengths are in SfM's unit; add {add}"
     by = f"{len(scale.recordings)} VIO recordings" if scale.by == ScaleSource.VIO else scale.by

@@ -153,9 +153,9 @@ def report_cameras(
             continue
         error = session["focal_scale"] - 1
         if abs(error) >= _MAX_FOCAL_ERROR:
-            doubt = (
-                "may be" if abs(error) - _CLEAR_SIGMAS * session["focal_scale_sd"] < _MAX_FOCAL_ERROR else "are likely"
-            )
+            # An unknown standard error, NaN, makes nothing likely.
+            is_clear = abs(error) - _CLEAR_SIGMAS * session["focal_scale_sd"] >= _MAX_FOCAL_ERROR
+            doubt = "are likely" if is_clear else "may be"
             r.say(
                 f"session {session['session_id']}: logged focal lengths {doubt} wrong: "
                 f"{_with_sd(100 * error, 100 * session['focal_scale_sd'], '.2f', '+')} % by the images, whose focal "
