@@ -7,8 +7,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import PIL.ExifTags
-import PIL.Image
 from numpy.typing import NDArray
 
 from groundwalk.store.errors import UserError
@@ -83,6 +81,8 @@ def read_grey_image(path: Path) -> Image:
 def small_jpeg(path: Path, long_side: int, gravity_x: float, gravity_y: float) -> bytes:
     """A small JPEG of an image file, turned by quarters so that gravity (camera axes, x right, y down; NaN: unknown)
     points down in it as far as it can."""
+    import PIL.Image  # here, as a phone's runtime reads images without it
+
     size = long_side
     with contextlib.suppress(OSError), PIL.Image.open(path) as opened:
         size = max(opened.size)
@@ -103,6 +103,9 @@ def small_jpeg(path: Path, long_side: int, gravity_x: float, gravity_y: float) -
 def exif_orientation(path: Path) -> int:
     """How EXIF says that an image's pixels are turned, 1 to 8 (TIFF 6.0, Orientation); 1, as they are, where it
     doesn't."""
+    import PIL.ExifTags
+    import PIL.Image
+
     try:
         with PIL.Image.open(path) as image:
             orientation = image.getexif().get(PIL.ExifTags.Base.Orientation, 1)

@@ -25,7 +25,7 @@ from tests.picture_wall import FOCAL, HEIGHT, WIDTH
 
 NUMBERS = [FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2]
 CAMERA = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
-BLOCKED = ("torch", "open3d", "pycolmap", "pandas", "pyarrow", "scipy", "rerun", "matplotlib")
+BLOCKED = ("torch", "open3d", "pycolmap", "pandas", "pyarrow", "scipy", "rerun", "matplotlib", "PIL")
 
 
 @pytest.fixture
