@@ -14,7 +14,15 @@ from groundwalk.store.choices import MapUnit
 from groundwalk.store.hints import scene_file, setting_of
 from groundwalk.store.images import image_file, verify_images
 from groundwalk.store.schemas import schema
-from groundwalk.store.tables import dataset_frames, map_unit, poses_of, read_table, with_cameras, with_gravity_of_map
+from groundwalk.store.tables import (
+    dataset_frames,
+    map_unit,
+    pose_columns,
+    poses_of,
+    read_table,
+    with_cameras,
+    with_gravity_of_map,
+)
 from groundwalk.training.build import Trained, load_trained
 
 
@@ -23,10 +31,10 @@ class TrainedRegressor:
     """A regressor of a finished train stage.
 
     `card` is its row of train.models. `frames` are all frames that it predicted, N rows: import.frames with the split
-    that training used, the scene, the image's `file`, the camera of the ground truth and, as stated_fx, the stated
-    focal length. `map_T_cam` (N, 4, 4) is the ground truth, `predicted` (N, 4, 4) what it answered in training and
-    `covariance` (N, 6, 6) of its error, NaN where there is none. `worlds` says of each scene's map its unit and axes,
-    `units` its unit.
+    that training used, the scene and which was picked, the image's `file`, the camera of the ground truth and, as
+    stated_fx, the stated focal length. `map_T_cam` (N, 4, 4) is the ground truth, `predicted` (N, 4, 4) what it
+    answered in training and `covariance` (N, 6, 6) of its error, NaN where there is none. `worlds` says of each scene's
+    map its unit and axes, `units` its unit.
     """
 
     model: str
@@ -73,7 +81,7 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
     for leaf in trained.scenes:
         frames, worlds[leaf], units[leaf] = _frames(data, profile, leaf, manifest)
         parts.append(frames)
-    columns = ["scene", "frame_id", "split", "covariance", *(c for c in predictions if str(c).startswith("map_cam_"))]
+    columns = ["scene", "frame_id", "split", "picked_scene", "covariance", *pose_columns("map_cam")]
     answers = predictions[columns].rename(columns=lambda c: c.replace("map_cam_", "predicted_"))
     frames = pd.concat(parts, ignore_index=True).drop(columns="split")
     frames = frames.merge(answers, on=["scene", "frame_id"], how="left", validate="1:1")

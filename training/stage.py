@@ -334,10 +334,11 @@ def report_mean_pose(r: StageRun[TrainSettings], frames: pd.DataFrame, data: Fra
 def report_accuracy(
     r: StageRun[TrainSettings], name: str, frames: pd.DataFrame, data: Frames, predictions: pd.DataFrame
 ) -> None:
-    """Keep, as figures, the model's errors on each scene's test frames, and say them; a frame without a pose is
-    infinitely wrong."""
+    """Keep, as figures, the model's errors on each scene's test frames, and say them; a frame without a pose, or that
+    was taken for another scene's, is infinitely wrong."""
     keys = ["scene", "frame_id"]
-    matched = frames[keys].merge(predictions, on=keys, how="left")
+    in_its_map = predictions[predictions["picked_scene"] == predictions["scene"]]
+    matched = frames[keys].merge(in_its_map, on=keys, how="left")
     position = matched[[f"map_cam_t{a}" for a in "xyz"]].to_numpy(float)
     quaternion = matched[[f"map_cam_q{a}" for a in "xyzw"]].to_numpy(float)
     for scene in r.leaves:
@@ -362,7 +363,7 @@ def keep_figures(
         r.say(f"{title}: {text} over {total} test frames")
         return
     text = text if np.isfinite(medians).all() else "no median, as half or more have no pose"
-    r.say(f"{title}: {text}; {answered} of {total} test frames have a pose")
+    r.say(f"{title}: {text}; {answered} of {total} test frames have a pose in this map")
 
 
 def write_results(r: StageRun[TrainSettings], frames: pd.DataFrame, cache: ImageCache, results: list[Result]) -> None:

@@ -115,13 +115,17 @@ def _check_as_trained(inputs: PhoneInputs, fp32: Path) -> None:
 
 
 def _errors(regressor: TrainedRegressor) -> dict[str, Any]:
-    """Errors of training's predictions on the test frames, and how honest their covariances are; {} without any."""
-    rows = regressor.rows("test")
-    rows = rows[np.isfinite(regressor.predicted[rows]).all(axis=(1, 2))]
+    """Errors of training's predictions on the test frames, and how honest their covariances are; {} without any. Frames
+    that the network took for another scene's, in whose map the answers are, are counted alone."""
+    tested = regressor.rows("test")
+    tested = tested[np.isfinite(regressor.predicted[tested]).all(axis=(1, 2))]
+    in_its_map = regressor.frames["picked_scene"] == regressor.frames["scene"]
+    rows = tested[in_its_map.to_numpy(bool)[tested]]
     if not len(rows):
         return {}
     poses = regressor.predicted[rows], regressor.map_T_cam[rows]
     content: dict[str, Any] = {"frames": len(rows), "of": "the network in float32 on the scene's test frames"}
+    content["frames_of_another_scene"] = len(tested) - len(rows)
     for name, values in (("position_{}_m", position_error(*poses)), ("rotation_{}_deg", rotation_error_deg(*poses))):
         content |= {name.format("median"): float(np.median(values)), name.format("mean"): float(values.mean())}
     covariance = regressor.covariance[rows]

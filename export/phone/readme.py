@@ -84,10 +84,12 @@ def readme(
     )
     reduced = f"\nIt is smaller than in its paper: {about['reduced']}.\n" if about["reduced"] else ""
     notes = "".join(f"- {note}\n" for note in about["notes"])
+    other = errors.get("frames_of_another_scene")
+    elsewhere = f" It takes {other} more test frames for another scene's." if other else ""
     accuracy = (
         f"\nOn the {errors['frames']} test frames it is wrong by {errors['position_median_m']:.2f} {symbol} and "
         f"{errors['rotation_median_deg']:.1f} degrees (medians; means {errors['position_mean_m']:.2f} {symbol}, "
-        f"{errors['rotation_mean_deg']:.1f} degrees), in float32.\n"
+        f"{errors['rotation_mean_deg']:.1f} degrees), in float32.{elsewhere}\n"
         if errors
         else ""
     )

@@ -171,6 +171,7 @@ def joined_walks(inputs: Inputs, splits: Sequence[str]) -> Iterator[tuple[str, E
 _MEANINGS = {
     "frames_too_uncertain_for_levels": "ground truth of class C, in means and medians alone",
     "predictions_refused": "the localiser's evidence was too thin; they count as failed",
+    "predictions_of_another_scene": "the regressor took these frames for another scene's; they count as failed",
     "prediction_covariances_not_positive_definite": "or not 6x6 numbers; these predictions are taken without one",
     "frames_of_unstated_quality": "the accuracy levels leave none of them out",
     "frames_of_walks_without_odometry": "nothing is fused there; predictions stand alone",

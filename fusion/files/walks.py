@@ -112,7 +112,8 @@ def evaluated(
     A walk ends where the session or the split changes. Frames are taken in order of time. In a map without metric
     scale they are without odometry. Counted, not refused: rows out of order, frames without odometry (of walks that
     have some, or none), prediction or ground truth, ground truth too uncertain for the accuracy levels or of no stated
-    quality, predictions that aren't finite or are of unknown frames, quaternions that aren't of unit length. Raises
+    quality, predictions that aren't finite, are of unknown frames, or in the map of another scene, which count as
+    missing, quaternions that aren't of unit length. Raises
     UserError where no evaluated frame has ground truth, or fewer than half have a prediction.
     """
     splits = list(splits)
@@ -139,6 +140,11 @@ def evaluated(
     refused = np.zeros(len(predicted), dtype=bool)
     if "refusal" in predicted:  # a pose that is there is used, whatever stands beside it
         refused = (predicted["refusal"].notna() & predicted["refusal"].ne(False)).to_numpy(bool) & ~known(apr_T)
+    elsewhere = np.zeros(len(predicted), dtype=bool)
+    if {"scene", "picked_scene"} <= set(predicted.columns):  # the pose is in the map of the scene that was picked
+        picked = predicted["picked_scene"]
+        elsewhere = (picked.notna() & picked.ne(predicted["scene"])).to_numpy(bool)
+        apr_T[elsewhere] = np.nan
     walks = _walks(scene, ordered, (vio_T, apr_T, true_T), quality, covariance)
     listed = ordered["frame_id"].isin(predictions["frame_id"]).to_numpy()
     unknown = int((~predictions["frame_id"].isin(frames["frame_id"])).sum())
@@ -159,7 +165,8 @@ def evaluated(
         "prediction_quaternions_not_of_unit_length": _not_unit(evaluated_predictions),
         "frames_without_prediction": int((~listed).sum()),
         "predictions_refused": int(refused.sum()),
-        "predictions_not_finite": int((listed & ~known(apr_T) & ~refused).sum()),
+        "predictions_of_another_scene": int(elsewhere.sum()),
+        "predictions_not_finite": int((listed & ~known(apr_T) & ~refused & ~elsewhere).sum()),
         "prediction_covariances_not_positive_definite": unsound,
         "predictions_outside_the_place": _outside(apr_T, true_T),
         "predictions_of_unknown_frames": unknown,

@@ -77,8 +77,9 @@ def test_test_frames_without_a_pose_are_infinitely_wrong(
     assert len(ours) == 3
     rows.loc[ours[:2], "map_cam_tx"] += [1.0, 2.0]
     rows.loc[theirs[0], "map_cam_tx"] = np.nan
-    more = rows[rows["model"] == "ours"].assign(model="whole")
-    pd.concat([rows.drop([ours[2], theirs[1]]), more]).to_parquet(data / "mine.parquet")
+    more = [rows[rows["model"] == "ours"].assign(model=name) for name in ("whole", "elsewhere")]
+    more[1].loc[ours[2], "picked_scene"] = "Other"
+    pd.concat([rows.drop([ours[2], theirs[1]]), *more]).to_parquet(data / "mine.parquet")
     figures = load_manifest(run(data))["figures"]
     said = capsys.readouterr().err
     assert figures["ours Wall test median position_m"] == pytest.approx(2)
@@ -87,6 +88,8 @@ def test_test_frames_without_a_pose_are_infinitely_wrong(
     assert "theirs Wall: no median, as half or more have no pose; 1 of 3 test frames have a pose" in said
     assert figures["whole Wall test median position_m"] == pytest.approx(1)
     assert "whole Wall: median 1.00 m, 0.0 deg over 3 test frames" in said
+    # A pose in another scene's map is none in this one.
+    assert "elsewhere Wall: median 2.00 m, 0.0 deg; 2 of 3 test frames have a pose" in said
 
 
 def test_covariances_are_36_numbers_or_six_rows_of_six(make_scene: MakeScene) -> None:

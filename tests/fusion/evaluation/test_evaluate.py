@@ -216,6 +216,19 @@ def test_only_predictions_without_a_pose_are_refusals() -> None:
     assert counts(["few_matches" if row == 3 else None for row in range(40)]) == (1, missing - 1)
 
 
+def test_a_pose_in_the_map_of_another_scene_is_a_failure() -> None:
+    frames, truth, predictions = tables([1])
+    predictions = predictions.assign(scene="Place", picked_scene=["Other", *["Place"] * 39])
+    predictions.loc[0, list(truth.filter(like="map_cam_"))] = truth.filter(like="map_cam_").iloc[0]
+    before = run(frames, truth, predictions.drop(columns="scene"), methods=["raw"])
+    found = run(frames, truth, predictions, methods=["raw"])
+    assert before.tables["errors"]["position_m"].iloc[0] < 1e-9 and found.tables["errors"]["position_m"].isna().iloc[0]
+    assert found.counts["predictions_of_another_scene"] == 1
+    assert found.counts["predictions_not_finite"] == before.counts["predictions_not_finite"]
+    everything = run(frames, truth, predictions.assign(picked_scene="Other"), methods=["raw", "paper_rule"])
+    assert everything.tables["errors"]["position_m"].isna().all()
+
+
 def test_the_model_that_hardly_overlaps_is_named() -> None:
     frames, truth, predictions = tables([2], ("PN", "MS-T"))
     with pytest.raises(UserError, match="predictions of MS-T and frames hardly overlap"):
