@@ -15,6 +15,7 @@ from groundwalk.store.hints import scene_file, setting_of
 from groundwalk.store.images import image_file, verify_images
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import (
+    GUESS_SD,
     dataset_frames,
     map_unit,
     pose_columns,
@@ -109,9 +110,11 @@ def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> 
     frames = dataset_frames(read_table(imported / "frames.parquet", schema("import", "frames")))
     truth = read_table(aligned / "ground_truth.parquet", schema("align", "ground_truth"))
     poses = [str(c) for c in truth if str(c).startswith("map_cam_")]
-    stated = frames["fx"].to_numpy()
+    logged, is_guess = frames["fx"].to_numpy(), (frames["focal_sd"] >= GUESS_SD).to_numpy()
     frames = with_gravity_of_map(frames, truth)
     frames = with_cameras(frames, truth).merge(truth[["frame_id", *poses]], on="frame_id", validate="1:1")
+    # Nobody will state import's guess of a photo without one: who asks knows it, or takes what sfm found.
+    stated = np.where(is_guess, frames["fx"], logged)
     captures = data.captures(scene)
     verify_images(captures, imported)
     files = [image_file(image, captures, imported) for image in frames["image"]]

@@ -1,7 +1,6 @@
 """The bundle of a trained regressor: all that a phone needs, in one folder (docs/reference/bundle-format.md)."""
 
 import platform
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
@@ -22,6 +21,7 @@ from groundwalk.runtime.bundle_file import ERRORS, FRAME, GOLDEN, PREPROCESSING,
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
 from groundwalk.store import UserError, progress
 from groundwalk.store.files import write_json
+from groundwalk.store.images import without_metadata
 
 _CALIBRATION, _HELD_OUT, _MIN_HELD_OUT = 48, 64, 16
 _AS_TRAINED_M, _AS_TRAINED_DEG = 0.01, 0.2
@@ -155,7 +155,7 @@ def write_golden(
     """Write golden/: some frames' images, the output of each step and of each network; median_error: m, degrees."""
     target = (folder / GOLDEN).parent
     target.mkdir()
-    rows = inputs.spread("test", _QUERIES) or inputs.spread("val", _QUERIES)
+    rows = next(rows for split in ("test", "val", "train") if (rows := inputs.spread(split, _QUERIES)))
     queries = [_query(inputs, row, number, target, networks) for number, row in enumerate(rows)]
     names = [step["step"] for step in queries[0]["steps"]]
     steps = {name: _MEAN_NORMALISED if name == "normalise" else _MEAN_LEVELS for name in names}
@@ -167,7 +167,7 @@ def write_golden(
 def _query(inputs: PhoneInputs, row: int, number: int, target: Path, networks: Mapping[str, Network]) -> dict[str, Any]:
     file = Path(inputs.regressor.frames["file"].iloc[row])
     image = f"{number}{file.suffix.lower()}"
-    shutil.copyfile(file, target / image)
+    (target / image).write_bytes(without_metadata(file.read_bytes()))
     query = inputs.query(row)
     steps, tensor = [], np.empty(0, np.float32)
     for index, (name, tensor) in enumerate(inputs.preprocessing.run(query), start=1):

@@ -84,8 +84,12 @@ class PhoneInputs:
     def spread(self, split: str, count: int) -> list[int]:
         """At most so many rows of a split that a phone can ask about, evenly over its frames."""
         rows = self.regressor.rows(split)
+        frames = self.regressor.frames.iloc[rows]
+        sizes = zip(frames["width"], frames["height"], strict=True)
+        can_ask = np.array([self.preprocessing.takes(width, height) for width, height in sizes], bool)
         if self.preprocessing.is_upright:
-            rows = rows[self.regressor.frames["gravity_x"].iloc[rows].notna()]
+            can_ask &= frames["gravity_x"].notna().to_numpy()
+        rows = rows[can_ask]
         return rows[evenly(len(rows), count)].tolist()
 
     @cached_property

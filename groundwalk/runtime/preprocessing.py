@@ -70,6 +70,13 @@ class Preprocessing:
         """Whether the network sees images that are turned until gravity points down."""
         return any(step["step"] == "upright_crop" for step in self.steps)
 
+    def takes(self, width: int, height: int) -> bool:
+        """Whether images of this size have a shape that the network can be asked about."""
+        wanted_width, wanted_height = int(self.image["width_px"]), int(self.image["height_px"])
+        turned = (width > height) != (wanted_width > wanted_height) and wanted_width != wanted_height
+        other = abs(width / height / (wanted_width / wanted_height) - 1) > _SAME_ASPECT
+        return not turned and (self.needs_camera or not other)
+
     def camera_rotation(self, map_R_seen: Array, gravity: Array | None) -> Array:
         """map_R_cam (3, 3) of the network's answer (3, 3), which is of the camera whose image it sees.
 
@@ -107,9 +114,7 @@ class Preprocessing:
                 expected=f"{short} px or more on its shorter side",
                 found=f"{width} x {height} px",
             )
-        turned = (width > height) != (wanted[0] > wanted[1]) and wanted[0] != wanted[1]
-        other = abs(width / height / (wanted[0] / wanted[1]) - 1) > _SAME_ASPECT
-        if turned or (other and not self.needs_camera):
+        if not self.takes(width, height):
             raise UserError("an image has another shape", expected=expected, found=f"{width} x {height} px")
         if self.is_upright and query.gravity is None:
             raise UserError(

@@ -5,38 +5,47 @@ import shutil
 import sys
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pandas as pd
+import PIL.ExifTags
+import PIL.Image
 import pytest
 import torch
 from torch import nn
 from typer.testing import CliRunner
 
+from groundwalk.export import regressor
 from groundwalk.export.__main__ import app
 from groundwalk.export.phone import bundle, networks, quantisation
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.phone.quantisation import HeldOut, Measured
 from groundwalk.export.phone.readme import readme
-from groundwalk.export.regressor import load_regressor
+from groundwalk.export.regressor import TrainedRegressor, load_regressor
 from groundwalk.runtime import open_bundle
 from groundwalk.runtime.bundle import onnx_session
 from groundwalk.runtime.preprocessing import Preprocessing
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.choices import MapUnit
-from groundwalk.store.tables import poses_of
+from groundwalk.store.images import read_image
+from groundwalk.store.tables import GUESS_SD, poses_of
 from groundwalk.training.build import Trained
 from groundwalk.training.definition import STAGE
 from groundwalk.training.models import anchored_mixture
 from groundwalk.training.models.regressor import PoseRegressor
 from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressors import REGRESSORS
-from tests.picture_wall import write_scene
+from tests.known import rewrite, table_of
+from tests.picture_wall import FOCAL, HEIGHT, WIDTH, write_scene
 
 open_session = partial(onnx_session, threads=1)
 UNITS = (("position", "m"), ("rotation", "deg"))
 INTRINSICS = [50.0, 50.0, 32.0, 24.0]
+PLACE = PIL.Image.Exif()
+PLACE[PIL.ExifTags.Base.ImageDescription] = "@151.2153"
 
 
 def export(data: Path, out: Path, *more: str, model: str = "PN", scene: str = "Wall") -> str:
@@ -119,10 +128,10 @@ def test_a_run_that_does_not_fit_is_refused(trained_wall: Path, tmp_path: Path) 
 
 
 def test_a_network_that_does_not_predict_what_training_did_is_refused(trained_wall: Path, wall_bundle: Path) -> None:
-    regressor = load_regressor(DataRoot(trained_wall), "tiny", "Wall", "PN")
-    regressor.predicted[:, 0, 3] += 0.02
+    loaded = load_regressor(DataRoot(trained_wall), "tiny", "Wall", "PN")
+    loaded.predicted[:, 0, 3] += 0.02
     with pytest.raises(UserError, match=r"doesn't predict what training did(.|\n)*0\.020 m"):
-        bundle._check_as_trained(PhoneInputs(regressor), wall_bundle / "fp32.onnx")
+        bundle._check_as_trained(PhoneInputs(loaded), wall_bundle / "fp32.onnx")
 
 
 @pytest.mark.slow
@@ -140,6 +149,54 @@ def test_a_group_of_scenes_is_one_bundle(tmp_path: Path) -> None:
     row = rows[(rows["scene"] == "Other") & (rows["frame_id"] == "later/000000")]
     assert answer.scene == row["picked_scene"].iloc[0] and opened.manifest["scenes"] == ["Wall", "Other"]
     assert position_error(answer.map_T_cam, poses_of(row, "map_cam")[0]) < 1e-3
+
+
+def asked(folder: Path) -> PhoneInputs:
+    """Frames of a regressor, six of them landscape and four portrait, as queries."""
+    wide = np.arange(10) < 6
+    frames = pd.DataFrame({"width": np.where(wide, WIDTH, HEIGHT), "height": np.where(wide, HEIGHT, WIDTH)})
+    frames = frames.assign(fx=FOCAL, fy=FOCAL, cx=frames["width"] / 2, cy=frames["height"] / 2, stated_fx=FOCAL)
+    frames = frames.assign(distortion=[()] * 10, first_row=None, gravity_x=np.nan, gravity_y=np.nan, gravity_z=np.nan)
+    frames["file"] = [folder / f"{row}.png" for row in range(10)]
+    for file, width, height in zip(frames["file"], frames["width"], frames["height"], strict=True):
+        PIL.Image.new("RGB", (width, height)).save(file, exif=PLACE)
+    trained = Trained(WithCovariance(), ["Wall"], 40, 32, 45.0, 32, False)
+    of = SimpleNamespace(frames=frames, trained=trained, rows=lambda split: np.arange(10))
+    return PhoneInputs(cast(TrainedRegressor, of))
+
+
+def test_frames_that_a_phone_cannot_ask_about_take_no_part(tmp_path: Path) -> None:
+    inputs = asked(tmp_path)
+    assert inputs.spread("train", 48) == list(range(6)) and inputs.input_size == (32, 32)
+
+
+def test_golden_images_carry_no_place(tmp_path: Path) -> None:
+    """A photo's EXIF may say where it was taken, and a bundle is given to others."""
+    inputs, golden = asked(tmp_path), tmp_path / "golden"
+    golden.mkdir()
+    assert b"@151.2153" in (tmp_path / "0.png").read_bytes()
+    assert bundle._query(inputs, 0, 0, golden, {})["image"] == "0.png"
+    assert b"@151.2153" not in (golden / "0.png").read_bytes()
+    assert np.array_equal(read_image(golden / "0.png"), read_image(tmp_path / "0.png"))
+
+
+def test_a_guess_of_the_focal_length_is_not_what_phones_state(tmp_path: Path) -> None:
+    data = DataRoot(write_scene(tmp_path / "data", "Wall", train=4, test=2, seed=0))
+    frames = table_of(data, "Wall", "import", "frames").assign(fx=1.5 * FOCAL, fy=1.5 * FOCAL)
+    for focal_sd, stated in ((0.0, 1.5 * FOCAL), (GUESS_SD, FOCAL)):
+        rewrite(data, "Wall", "import", "frames", frames.assign(focal_sd=focal_sd))
+        found, _, _ = regressor._frames(data, "tiny", "Wall", {})
+        assert (found["stated_fx"] == stated).all() and (found["fx"] == FOCAL).all()
+
+
+def test_errors_are_of_frames_of_the_scene_that_was_picked() -> None:
+    frames = pd.DataFrame({"scene": "Wall", "picked_scene": ["Wall", "Other", "Wall"]})
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, 0, 3] = 1.0, 50.0, 2.0
+    of = SimpleNamespace(frames=frames, predicted=poses, map_T_cam=np.tile(np.eye(4), (3, 1, 1)))
+    of.rows, of.covariance = lambda split: np.arange(3), np.full((3, 6, 6), np.nan)
+    found = bundle._errors(cast(TrainedRegressor, of))
+    assert (found["frames"], found["frames_of_another_scene"], found["position_mean_m"]) == (2, 1, 1.5)
 
 
 class WithCovariance(PoseRegressor):
