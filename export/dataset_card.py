@@ -217,7 +217,9 @@ def _quality(dataset: Dataset) -> str:
         sigma = "Standard errors aren't known"
     if (dataset.sessions["pose_source"] == PoseSource.NONE).all():
         sigma = "Nothing but the images checks the map's shape, so no standard error is said"
-    return f"Frames by quality class: {counts}. {sigma}. Metric scale: {sources}. Each frame has its 6x6 covariance."
+    stated = int(frames["covariance"].notna().sum())
+    having = "Each frame has its" if stated == len(frames) else f"{stated} of {len(frames)} frames have their"
+    return f"Frames by quality class: {counts}. {sigma}. Metric scale: {sources}. {having} 6x6 covariance."
 
 
 def people(dataset: Dataset) -> str:

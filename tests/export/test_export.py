@@ -352,6 +352,13 @@ def test_a_card_says_of_people_and_places_what_is_so(scene: DataRoot) -> None:
     assert "34 faces and 0 licence plates" in said and "5 images were not searched" in said
 
 
+def test_a_card_says_how_many_frames_have_a_covariance(scene: DataRoot) -> None:
+    dataset = load_dataset(scene, "tiny", "Place", reads_images=False)
+    assert "Each frame has its 6x6 covariance." in _quality(dataset)
+    some = dataset.frames.assign(covariance=[None, *dataset.frames["covariance"][1:]])
+    assert f"{FRAMES - 1} of {FRAMES} frames have their 6x6" in _quality(replace(dataset, frames=some))
+
+
 def test_whether_people_were_looked_for_is_said_of_every_export_with_images(scene: DataRoot) -> None:
     note_outputs(scene.run("tiny", "Place", "align"), simulated=False)
     out, said = _exported(scene, "tum")
