@@ -27,14 +27,16 @@ def read(path: Path, limits: Limits) -> Recording:
         video_ns = frame_times(video, limits)
         if not times.min() - 10**9 <= video_ns[0] <= times.max():  # it counts from the first image
             video_ns = video_ns - video_ns[0] + times[0]
+        rows = [frames[int(np.argmin(np.abs(times - t)))] for t in video_ns]
         images = [
             RawFrame(
                 int(t),
                 image=VideoFrame(video, i),
-                intrinsics=frames[int(np.argmin(np.abs(times - t)))].intrinsics,
+                intrinsics=row.intrinsics,
+                exposure_s=row.exposure_s,
                 source=f"{video.name} frame {i}",
             )
-            for i, t in enumerate(video_ns)
+            for i, (t, row) in enumerate(zip(video_ns, rows, strict=True))
         ]
         frames = parsing.join_by_time(frames, images)
     accelerations = parsing.core_motion(path / "accelerometer.txt", limits, unit_s=1e-6)

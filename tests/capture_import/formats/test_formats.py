@@ -67,6 +67,8 @@ def test_a_written_walk_reads_back_the_same(tmp_path: Path, name: str) -> None:
             camera = seen.camera
             assert (seen.check.width, seen.check.height) == (WIDTH, HEIGHT)
             np.testing.assert_allclose([camera.fx, camera.fy, camera.cx, camera.cy], walk.camera[kept[index]])
+        stated_s = {"3d_scanner_app": 0.01, "scan_capture": 0.016}.get(name)
+        assert seen.exposure_s == (stated_s and pytest.approx(stated_s))
     assert len(session.images) == (24 if name == "stray_scanner" else 12)
 
 
