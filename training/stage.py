@@ -327,7 +327,7 @@ def report_mean_pose(r: StageRun[TrainSettings], frames: pd.DataFrame, data: Fra
     for scene in r.leaves:
         here = (frames["scene"] == scene).to_numpy()
         training, tested = (data.select(rows_with_truth(frames[here], s) + np.argmax(here)) for s in ("train", "test"))
-        if len(tested):
+        if len(training) and len(tested):
             keep_figures(r, "mean-pose", scene, *mean_pose_errors(training, tested))
 
 

@@ -92,6 +92,14 @@ def test_test_frames_without_a_pose_are_infinitely_wrong(
     assert "elsewhere Wall: median 2.00 m, 0.0 deg; 2 of 3 test frames have a pose" in said
 
 
+def test_a_scene_may_have_test_frames_alone(make_scene: MakeScene) -> None:
+    data = make_scene(train=0)
+    written(data)
+    figures = load_manifest(run(data))["figures"]
+    assert figures["ours Wall test median position_m"] == pytest.approx(0, abs=1e-9)
+    assert not any(name.startswith("mean-pose") for name in figures)
+
+
 def test_covariances_are_36_numbers_or_six_rows_of_six(make_scene: MakeScene) -> None:
     data = make_scene()
     matrix = np.arange(36.0).reshape(6, 6)
