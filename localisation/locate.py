@@ -50,9 +50,9 @@ def locate(
 
     An image's intrinsics are in `<image>.json` or `intrinsics.json` beside it, or in --intrinsics: an object with fx,
     fy, cx, cy and, where they are known, width, height, first_row (the side of the image that the sensor reads out
-    first: top, right, bottom or left), gravity and prior (map_T_cam, 4x4), or 3D Scanner App's file of the frame. An
-    image whose own file has other intrinsics is asked with these. An image of a folder that can't be
-    asked is refused as bad_input; it's an error where that is so of all.
+    first: top, right, bottom or left), gravity and prior (map_T_cam, 4x4), or 3D Scanner App's file of the frame.
+    --intrinsics are taken before those of intrinsics.json, and those of an image's own file before both. An image of a
+    folder that can't be asked is refused as bad_input; it's an error where that is so of all.
     """
     ask = _opened(map_, bundle, scene, network, verify)
     common: Row = {}

@@ -16,6 +16,7 @@ from groundwalk.store.errors import UserError
 from groundwalk.store.images import read_image
 
 _IMAGES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
+_UNREAD = {".heic", ".heif", ".avif", ".dng"}  # photos, of a folder each to be refused by name
 _INTRINSICS_FILE = "intrinsics.json"
 _INTRINSICS = ("fx", "fy", "cx", "cy")
 _CAMERA = ("width", "height", *_INTRINSICS, "first_row")
@@ -105,7 +106,8 @@ def image_files(images: Path) -> list[Path]:
     """An image, or those of a folder by name; UserError where there is none."""
     if images.is_file():
         return [images]
-    files = sorted(path for path in images.glob("*") if path.suffix.lower() in _IMAGES) if images.is_dir() else []
+    kinds = _IMAGES | _UNREAD
+    files = sorted(path for path in images.glob("*") if path.suffix.lower() in kinds) if images.is_dir() else []
     if not files:
         kind = "no image in this folder" if images.is_dir() else "no such file or folder"
         raise UserError(
@@ -115,15 +117,22 @@ def image_files(images: Path) -> list[Path]:
 
 
 def file_query(path: Path, common: Mapping[str, Any]) -> Query:
-    """An image with what is known of it: what the command says, then the folder's file, then its own, which may be
-    3D Scanner App's of a frame."""
-    known = dict(common)
-    for file in (path.with_name(_INTRINSICS_FILE), path.with_name(path.name + ".json"), path.with_suffix(".json")):
-        if file.is_file():
-            content = _object(file)
-            known |= _scanner_app(content, file) if _ARKIT_POSE in content else content
+    """An image with what is known of it: what the folder's file says, then the command, then the image's own file,
+    which may be 3D Scanner App's of a frame. Intrinsics that say no image size are for the image's own."""
+    folder, *own = [path.with_name(_INTRINSICS_FILE), path.with_name(path.name + ".json"), path.with_suffix(".json")]
+    known: dict[str, Any] = {}
+    for stated in (_stated(folder), common, *map(_stated, own)):
+        if stated.keys() >= set(_INTRINSICS):
+            known = {name: value for name, value in known.items() if name not in ("width", "height")}
+        known |= stated
     where = f"{path.name}.json or {_INTRINSICS_FILE} beside {path}, or --intrinsics fx,fy,cx,cy"
     return query_of(path, known, where)
+
+
+def _stated(file: Path) -> dict[str, Any]:
+    """What a JSON file says of an image, nothing where there is none."""
+    content = _object(file) if file.is_file() else {}
+    return _scanner_app(content, file) if _ARKIT_POSE in content else content
 
 
 def _scanner_app(content: Mapping[str, Any], file: Path) -> dict[str, Any]:
@@ -158,6 +167,9 @@ def numbers(text: str, count: int, option: str) -> list[float]:
 
 
 def _pixels(image: Path | NDArray[Any]) -> NDArray[np.uint8]:
+    if isinstance(image, Path) and image.suffix.lower() in _UNREAD:
+        kind = f"{image.suffix}, not one of {', '.join(sorted(_IMAGES))}"
+        raise UserError("an image is of a kind that can't be read", where=image, found=kind, do="convert it to JPEG")
     pixels = read_image(image) if isinstance(image, Path) else np.asarray(image)
     if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or pixels.shape[2:] not in ((), (3,)) or not pixels.size:
         actual = f"{pixels.dtype} of shape {pixels.shape}"

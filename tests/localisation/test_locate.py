@@ -17,12 +17,12 @@ from groundwalk import UserError
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import make_pose, pose_from_tq, yaw_rotation
 from groundwalk.localisation.definition import STAGE
-from groundwalk.localisation.locate import _refuse_other_file, app
-from groundwalk.runtime.queries import file_query, known_of, query_of
+from groundwalk.localisation.locate import _answer, _refuse_other_file, app
+from groundwalk.runtime.queries import file_query, image_files, known_of, query_of
 from groundwalk.scoring.errors import position_error
 from groundwalk.store import execute
 from groundwalk.store.images import read_image
-from tests.known import read_picture, there
+from tests.known import read_picture, there, written
 from tests.localisation.board_scene import CAMERA, HEIGHT, TEST, WIDTH, Boards, other_board_picture
 
 SMALL = ["max_features=300", "localisers.Map.max_points=400"]
@@ -166,6 +166,32 @@ def test_a_frame_of_the_scanner_app_brings_intrinsics_and_gravity(boards: Boards
     image.with_suffix(".json").write_text(json.dumps(frame | {"intrinsics": K_9[:4]}))
     with pytest.raises(UserError, match="intrinsics isn't"):
         file_query(image, {})
+
+
+def test_intrinsics_are_of_the_nearest_source_and_its_image_size(tmp_path: Path) -> None:
+    """The folder's file is of the images as captured, others of images half as large."""
+    for name in ("a", "b"):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((HEIGHT // 2, WIDTH // 2, 3), np.uint8))
+    stated = dict(zip(("fx", "fy", "cx", "cy"), NUMBERS, strict=True))
+    written(tmp_path / "intrinsics.json", json.dumps(stated | {"width": WIDTH, "height": HEIGHT, "gravity": DOWN}))
+    written(tmp_path / "b.json", json.dumps({name: value / 2 for name, value in stated.items()}))
+    assert file_query(tmp_path / "a.png", {}).camera == Camera(WIDTH, HEIGHT, *FOUR)
+    half = Camera(WIDTH // 2, HEIGHT // 2, *(number / 2 for number in FOUR))
+    own = file_query(tmp_path / "b.png", {})
+    assert own.camera == half and own.gravity == pytest.approx(DOWN)
+    command = {name: value / 2 + 1 for name, value in stated.items()}
+    assert file_query(tmp_path / "a.png", command).camera.fx == NUMBERS[0] / 2 + 1
+    assert file_query(tmp_path / "b.png", command).camera == half
+
+
+def test_photos_of_a_kind_that_is_not_read_are_refused_by_name(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.jpg"), np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    written(tmp_path / "IMG_1.HEIC", "a photo")
+    assert [path.name for path in image_files(tmp_path)] == ["IMG_1.HEIC", "a.jpg"]
+    refusal = _answer(lambda query: {}, tmp_path / "IMG_1.HEIC", CAMERA, among_others=True)
+    assert refusal["refusal"] == "bad_input" and "can't be read: .HEIC, not one of .bmp" in refusal["reason"]
+    with pytest.raises(UserError, match="convert it to JPEG"):
+        file_query(tmp_path / "IMG_1.HEIC", CAMERA)
 
 
 def test_a_query_says_which_side_is_read_out_first(boards: Boards, tmp_path: Path) -> None:
