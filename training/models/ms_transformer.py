@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor, nn
 
+from groundwalk.store import UserError
+from groundwalk.store.hints import setting_of
 from groundwalk.training.models.efficientnet import REDUCTION_8_CHANNELS, REDUCTION_16_CHANNELS, EfficientNetB0
 from groundwalk.training.models.regressor import BackboneRegressor
 from groundwalk.training.poses import PoseBatch
@@ -133,6 +135,13 @@ class MSTransformer(BackboneRegressor):
     def _place(self, feature_map: Tensor) -> Tensor:
         """What the transformer adds to a map's cells (HW, 256): column embedding, then row embedding."""
         height, width = feature_map.shape[-2:]
+        if max(height, width) > MAX_CELLS:
+            raise UserError(
+                "MS-T has no places for images this large",
+                expected=f"{8 * MAX_CELLS} px a side at most, an eighth of which is {MAX_CELLS} cells",
+                found=f"a map of {width} x {height} cells",
+                do=f"set a smaller {setting_of('train', 'crop')}",
+            )
         columns = self.column_embedding.weight[:width].expand(height, width, -1)
         rows = self.row_embedding.weight[:height, None].expand(height, width, -1)
         return torch.cat([columns, rows], dim=-1).flatten(0, 1)

@@ -2,6 +2,7 @@ import pytest
 import torch
 from torch import nn
 
+from groundwalk.store import UserError
 from groundwalk.training.models.efficientnet import EfficientNetB0
 from groundwalk.training.models.ms_transformer import MSTransformer
 from groundwalk.training.models.regressor import BackboneRegressor
@@ -121,6 +122,13 @@ def test_scene_is_the_true_one_in_training_and_the_likeliest_in_testing(monkeypa
     assert float((loss - weights).detach()) == pytest.approx(
         float(-logits_BS.log_softmax(dim=1)[rows, true].mean()), abs=1e-3
     )
+
+
+def test_a_crop_beyond_the_embedded_cells_is_refused() -> None:
+    model = made("MS-T")
+    assert model._place(torch.zeros(1, 1, 50, 50)).shape == (2500, 256)
+    with pytest.raises(UserError, match=r"(?s)400 px a side at most.*56 x 56 cells.*crop"):
+        model._place(torch.zeros(1, 1, 56, 56))
 
 
 def test_frames_of_the_network_are_undone() -> None:
