@@ -59,7 +59,7 @@ class RegressorSettings(Settings):
 _DROPOUT = "share of the head's or the transformers' features left out in training"
 _WEIGHTS = (
     "the backbone's first weights: auto (those of an installed package or downloaded ImageNet weights, else scratch),"
-    " imagenet (downloaded), scratch, or a file with their state dict"
+    " imagenet (downloaded), scratch, or a file with their state dict, relative to the data folder"
 )
 
 
@@ -135,4 +135,14 @@ class LiteSettings(RegressorSettings):
     batch: int = Field(128, gt=1, description="images a step")
     learning_rate: float = Field(2e-3, gt=0, description="Adam's learning rate after warming up")
     dropout: float = Field(0.3, ge=0, lt=1, description=_DROPOUT)
-    weights: str = Field("auto", description=_WEIGHTS)
+    weights: str = Field(
+        "auto",
+        description="EfficientNet-Lite0's weights: auto (those of the installed package), or a file with their state"
+        " dict, relative to the data folder",
+    )
+
+
+def weights_file(settings: RegressorSettings) -> str | None:
+    """The file that the setting `weights` names, relative to the data folder; None where it names none."""
+    weights = settings.weights if isinstance(settings, BackboneSettings | LiteSettings) else "auto"
+    return None if weights in ("auto", "imagenet", "scratch") else weights

@@ -38,7 +38,7 @@ from groundwalk.training.loop import save, take_best, train
 from groundwalk.training.models.regressor import PoseRegressor
 from groundwalk.training.predict import predict
 from groundwalk.training.record import blueprint, record
-from groundwalk.training.regressor_settings import RegressorSettings
+from groundwalk.training.regressor_settings import RegressorSettings, weights_file
 from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.settings import TrainSettings
 from groundwalk.training.sources import Run
@@ -204,7 +204,9 @@ def prepare(r: StageRun[TrainSettings], name: str, data: Frames, frames: pd.Data
         torch.manual_seed(r.seed)
         model = regressor.make(settings, len(r.leaves), outdoor)
         check_regressor(model, len(r.leaves), view, regressor.gives_covariance)
-        origin = model.initialise(training.poses(torch.device("cpu")), settings, r.data.root / "weights")
+        named = weights_file(settings)
+        given = settings.model_copy(update={"weights": str(r.data.root / named)}) if named else settings
+        origin = model.initialise(training.poses(torch.device("cpu")), given, r.data.root / "weights")
         save(folder / _FIRST, {"origin": origin, "state": model.state_dict()})
     origin = torch.load(folder / _FIRST)["origin"]
     r.say(f"{name}: trains in {WORDS[precision]}; first weights: {origin}")

@@ -19,6 +19,7 @@ from groundwalk.training import inputs
 from groundwalk.training.build import load_trained
 from groundwalk.training.data import normalised, to_tensor
 from groundwalk.training.definition import STAGE
+from groundwalk.training.settings import TrainSettings
 
 SMALL = [
     "resize=40",
@@ -95,6 +96,14 @@ def test_errors_in_a_map_without_metric_scale_are_not_given_in_metres(
     assert all(re.search(rf"{of} Wall: median [\d.]+ map units, ", said) for of in ("mean-pose", "mine"))
 
 
+def test_a_changed_weights_file_is_another_run() -> None:
+    def files(**regressors: dict[str, str]) -> tuple[str, ...]:
+        return tuple(STAGE.files(TrainSettings(models=("PN", "PN-Lite"), regressors=regressors)))
+
+    assert files() == files(PN={"weights": "imagenet"}) == ()
+    assert files(PN={"weights": "mine.pth"}) == ("mine.pth",)
+
+
 @pytest.mark.slow
 def test_images_are_as_captured_where_the_settings_say_so(make_scene: MakeScene) -> None:
     folder = execute(STAGE, "Wall", "tiny", DataRoot(make_scene()), [*SMALL, "undistort=false", 'models=["PN"]'])
@@ -124,6 +133,9 @@ def test_what_a_user_can_get_wrong_is_said(make_scene: MakeScene) -> None:
         execute(STAGE, "Wall", "tiny", data, SMALL)
     with pytest.raises(UserError, match="crop 64 is larger than resize 40"):
         execute(STAGE, "Wall", "tiny", data, [*SMALL, "crop=64"])
+    (make_scene("Other") / "mine.pth").write_text("no weights")
+    with pytest.raises(UserError, match=r"(?s)weights file can't be read.*data/mine\.pth"):
+        execute(STAGE, "Other", "tiny", data, [*SMALL, "models=['PN']", "regressors.PN.weights=mine.pth"])
     data = DataRoot(make_scene("Gone"))
     (data.captures("Gone") / "walk-3.png").unlink()
     with pytest.raises(UserError, match=r"walk-3\.png"):
