@@ -16,6 +16,7 @@ from groundwalk.store.tables import camera_of, poses_of, with_cameras
 from groundwalk.training.data import Frames, ImageCache
 from groundwalk.training.settings import TrainSettings
 
+_NARROW = 1.1
 _HELD_OUT = 0.1  # share of each training session, where import marked none
 
 
@@ -76,9 +77,22 @@ def check_trainable(frames: pd.DataFrame, where: Path) -> None:
 
 def virtual_focal(frames: pd.DataFrame) -> float:
     """The focal length of the virtual pinhole of all frames, in shorter sides: the median of those trained on."""
-    of_training = frames.iloc[rows_with_truth(frames, "train")]
-    sides = of_training[["width", "height"]].to_numpy(float).min(axis=1)
-    return float(np.median(of_training[["fx", "fy"]].to_numpy(float).mean(axis=1) / sides))
+    return float(np.median(_in_short_sides(frames.iloc[rows_with_truth(frames, "train")])))
+
+
+def _in_short_sides(frames: pd.DataFrame) -> NDArray[np.float64]:
+    """Focal lengths (N,)."""
+    sides = frames[["width", "height"]].to_numpy(float).min(axis=1)
+    return np.asarray(frames[["fx", "fy"]].to_numpy(float).mean(axis=1) / sides)
+
+
+def warn_of_borders(r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float) -> None:
+    """Say how many images show much less than the virtual pinhole sees."""
+    if narrow := int((_in_short_sides(frames) > _NARROW * focal).sum()):
+        r.say(
+            f"warning: {narrow} of {len(frames)} images have focal lengths over {_NARROW} times the virtual pinhole's: "
+            "what it sees beyond them is their border, repeated"
+        )
 
 
 def small_images(

@@ -33,6 +33,7 @@ from groundwalk.training.inputs import (
     rows_with_truth,
     small_images,
     virtual_focal,
+    warn_of_borders,
 )
 from groundwalk.training.loop import save, take_best, train
 from groundwalk.training.models.regressor import PoseRegressor
@@ -89,6 +90,7 @@ def run(r: StageRun[TrainSettings]) -> None:
     focal = virtual_focal(frames) if models and r.settings.undistort else None
     if focal is not None:
         r.figure("virtual focal length in shorter image sides", focal)
+        warn_of_borders(r, frames, focal)
     with r.step("images"):
         sides = sorted({r.settings.resize, *(short_side(r.settings, model) for model in models)})
         data = {side: read_images(r, frames, focal, side) for side in sides}

@@ -2,13 +2,15 @@ import json
 import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pandas as pd
 import pytest
 import torch
 
-from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store import DataRoot, StageRun, UserError, execute
 from groundwalk.store.files import write_json
 from groundwalk.store.images import read_image
 from groundwalk.store.manifests import load_manifest, output_hashes
@@ -94,6 +96,17 @@ def test_errors_in_a_map_without_metric_scale_are_not_given_in_metres(
     said = capsys.readouterr().err
     assert "warning: Wall: NO METRIC SCALE: positions are in SfM's unit, not in metres" in said
     assert all(re.search(rf"{of} Wall: median [\d.]+ map units, ", said) for of in ("mean-pose", "mine"))
+
+
+def test_images_that_show_less_than_the_virtual_pinhole_are_counted() -> None:
+    frames = pd.DataFrame({"width": 640, "height": 480, "split": "train", "map_cam_tx": 0.0, "fx": [480.0] * 9 + [600]})
+    said: list[str] = []
+    frames["fy"] = frames["fx"]
+    run = cast(StageRun[TrainSettings], SimpleNamespace(say=said.append))
+    inputs.warn_of_borders(run, frames, inputs.virtual_focal(frames))
+    assert len(said) == 1 and "1 of 10 images have focal lengths over 1.1 times" in said[0]
+    inputs.warn_of_borders(run, frames, 600 / 480)
+    assert len(said) == 1
 
 
 def test_a_changed_weights_file_is_another_run() -> None:
