@@ -25,7 +25,7 @@ def open(scene_or_folder: str | PathLike[str], *, profile: str = "demo", data: s
     """Open what the stages wrote for a scene.
 
     A str that can be a scene's name is one, in data/runs/<profile>; anything else (a `Path`, "./Church") is a run's
-    folder. Its images are looked for in <data>/captures, which is that of the folder <data>/runs/<profile>/<scene>.
+    folder. Its images are looked for in <data>/captures; of a folder <data>/runs/<profile>/<scene> beside it, first.
 
     Raises UserError for a run that isn't there, that no stage has finished, or a folder that is something else.
     """

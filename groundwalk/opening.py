@@ -24,18 +24,20 @@ def open_run(scene_or_folder: str | os.PathLike[str], profile: str, data: Path) 
     folder = Path(os.path.abspath(scene_or_folder))  # noqa: PTH100, as Path.resolve would follow links out of data/runs
     if not folder.is_dir():
         raise UserError("there is no run", where=folder, expected="a folder data/runs/<profile>/<scene>")
-    return _run(folder, DataRoot(folder.parents[2] if folder.parent.parent.name == "runs" else data))
+    beside = [DataRoot(folder.parents[2])] if folder.parent.parent.name == "runs" else []
+    return _run(folder, *beside, DataRoot(data))
 
 
-def _run(folder: Path, data: DataRoot) -> Run:
+def _run(folder: Path, *roots: DataRoot) -> Run:
+    """The run of a folder, with the scene's captures of the first data folder that has them."""
     manifests = _manifests(folder)
     if not manifests:
         if any(folder.glob(".*.partial")):
             raise missing_stage(folder / STAGES[0], STAGES[0], folder.name)
         raise _foreign(folder)
     scene = str(next(iter(manifests.values()))["scene"].get("name"))
-    captures = data.captures(scene)
-    return Run(folder, captures if captures.is_dir() else None, manifests, outdated_stages(folder, manifests))
+    captures = next((path for path in (root.captures(scene) for root in roots) if path.is_dir()), None)
+    return Run(folder, captures, manifests, outdated_stages(folder, manifests))
 
 
 def _manifests(folder: Path) -> dict[str, dict[str, Any]]:

@@ -8,7 +8,6 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from pyarrow.parquet import read_metadata
@@ -158,8 +157,8 @@ class Run:
         from groundwalk.localisation.locate import ask_map
         from groundwalk.runtime.queries import known_of, query_of
 
-        source, known = image if isinstance(image, np.ndarray) else Path(image), known_of(intrinsics, gravity, prior)
-        return ask_map(self._localiser(model), query_of(source, known, "intrinsics of groundwalk.Run.localise"))
+        known = known_of(intrinsics, gravity, prior)
+        return ask_map(self._localiser(model), query_of(image, known, "intrinsics of groundwalk.Run.localise"))
 
     @property
     def poses(self) -> pd.DataFrame:

@@ -99,9 +99,7 @@ class Bundle:
 
         UserError where intrinsics lack or can't be, or the image isn't like those that the network was trained on.
         """
-        known = known_of(intrinsics, gravity, None)
-        source = image if isinstance(image, np.ndarray) else Path(image)
-        return self.ask(query_of(source, known, "intrinsics of Bundle.predict"))
+        return self.ask(query_of(image, known_of(intrinsics, gravity, None), "intrinsics of Bundle.predict"))
 
     def ask(self, query: Query) -> Prediction:
         """Where a query's image was taken; see `predict`."""

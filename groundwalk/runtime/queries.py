@@ -1,6 +1,7 @@
 """An image that is asked about from outside a run: the file, and what is known of its camera."""
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,8 +38,8 @@ class Query:
     prior: Array | None
 
 
-def query_of(image: Path | NDArray[Any], known: Mapping[str, Any], where: object) -> Query:
-    """A query of an image: a file, or RGB (H, W, 3) or grey (H, W), uint8.
+def query_of(image: str | os.PathLike[str] | ArrayLike, known: Mapping[str, Any], where: object) -> Query:
+    """A query of an image: a file, or RGB (H, W, 3) or grey (H, W), uint8, as an array or what NumPy makes one of.
 
     known: fx, fy, cx, cy in pixels; width and height that these are for, those of the image unless given; first_row,
     the side of the image that the sensor reads out first (top, right, bottom, left), that of phones unless given;
@@ -166,11 +167,15 @@ def numbers(text: str, count: int, option: str) -> list[float]:
     return values
 
 
-def _pixels(image: Path | NDArray[Any]) -> NDArray[np.uint8]:
-    if isinstance(image, Path) and image.suffix.lower() in _UNREAD:
-        kind = f"{image.suffix}, not one of {', '.join(sorted(_IMAGES))}"
-        raise UserError("an image is of a kind that can't be read", where=image, found=kind, do="convert it to JPEG")
-    pixels = read_image(image) if isinstance(image, Path) else np.asarray(image)
+def _pixels(image: str | os.PathLike[str] | ArrayLike) -> NDArray[np.uint8]:
+    if isinstance(image, str | os.PathLike):
+        path = Path(image)
+        if path.suffix.lower() in _UNREAD:
+            kind = f"{path.suffix}, not one of {', '.join(sorted(_IMAGES))}"
+            raise UserError("an image is of a kind that can't be read", where=path, found=kind, do="convert it to JPEG")
+        pixels: NDArray[Any] = read_image(path)
+    else:
+        pixels = np.asarray(image)
     if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or pixels.shape[2:] not in ((), (3,)) or not pixels.size:
         actual = f"{pixels.dtype} of shape {pixels.shape}"
         raise UserError("this isn't an image", found=actual, expected="uint8, RGB (H, W, 3) or grey (H, W)")

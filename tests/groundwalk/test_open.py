@@ -186,6 +186,8 @@ def test_a_run_is_opened_by_its_folder(make_run: Make, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"(?s)captures of scene place aren't beside its run.*data="):
         run.image("walk-0/000001")
     assert groundwalk.open(moved, data=made.data.root).image("walk-0/000001").shape == (24, 32, 3)
+    as_before = shutil.copytree(made.folder, tmp_path / "copied" / "runs" / "tiny" / "place")
+    assert groundwalk.open(as_before, data=made.data.root).image("walk-0/000001").shape == (24, 32, 3)
 
 
 def test_a_missing_run_is_said_with_those_that_are_there(make_run: Make, tmp_path: Path) -> None:
