@@ -355,7 +355,7 @@ def test_a_card_says_of_people_and_places_what_is_so(scene: DataRoot) -> None:
 def test_a_card_says_how_many_frames_have_a_covariance(scene: DataRoot) -> None:
     dataset = load_dataset(scene, "tiny", "Place", reads_images=False)
     assert "Each frame has its 6x6 covariance." in _quality(dataset)
-    some = dataset.frames.assign(covariance=[None, *dataset.frames["covariance"][1:]])
+    some = dataset.frames.assign(covariance=cells([None, *dataset.frames["covariance"][1:]]))
     assert f"{FRAMES - 1} of {FRAMES} frames have their 6x6" in _quality(replace(dataset, frames=some))
 
 

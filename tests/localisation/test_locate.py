@@ -5,10 +5,11 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
+import PIL.Image
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -98,6 +99,7 @@ def test_a_run_refuses_what_it_cannot_localise(run: groundwalk.Run, boards: Boar
         ({"model": "HLoc"}, "no structure localiser 'HLoc' that is kept in a file"),
         ({"image": np.zeros((4, 4, 4), np.uint8)}, "this isn't an image"),
         ({"image": "nowhere.png"}, "image can't be read"),
+        ({"image": 7}, "this isn't an image"),
     ],
 )
 def test_what_a_caller_can_get_wrong_is_said(run: groundwalk.Run, boards: Boards, given: Any, message: str) -> None:
@@ -176,12 +178,18 @@ def test_intrinsics_are_of_the_nearest_source_and_its_image_size(tmp_path: Path)
     written(tmp_path / "intrinsics.json", json.dumps(stated | {"width": WIDTH, "height": HEIGHT, "gravity": DOWN}))
     written(tmp_path / "b.json", json.dumps({name: value / 2 for name, value in stated.items()}))
     assert file_query(tmp_path / "a.png", {}).camera == Camera(WIDTH, HEIGHT, *FOUR)
-    half = Camera(WIDTH // 2, HEIGHT // 2, *(number / 2 for number in FOUR))
+    half = Camera(WIDTH, HEIGHT, *FOUR).resized(WIDTH // 2, HEIGHT // 2)
     own = file_query(tmp_path / "b.png", {})
     assert own.camera == half and own.gravity == pytest.approx(DOWN)
     command = {name: value / 2 + 1 for name, value in stated.items()}
     assert file_query(tmp_path / "a.png", command).camera.fx == NUMBERS[0] / 2 + 1
     assert file_query(tmp_path / "b.png", command).camera == half
+
+
+def test_an_image_may_be_one_of_pillow(boards: Boards) -> None:
+    with PIL.Image.open(boards.image(ROW)) as image:
+        query = query_of(cast(Any, image.convert("RGB")), CAMERA, "")
+    assert np.array_equal(query.image, read_image(boards.image(ROW)))
 
 
 def test_photos_of_a_kind_that_is_not_read_are_refused_by_name(tmp_path: Path) -> None:

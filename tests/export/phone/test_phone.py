@@ -38,7 +38,7 @@ from groundwalk.training.models import anchored_mixture
 from groundwalk.training.models.regressor import PoseRegressor
 from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressors import REGRESSORS
-from tests.known import rewrite, table_of
+from tests.known import cells, rewrite, table_of
 from tests.picture_wall import FOCAL, HEIGHT, WIDTH, write_scene
 
 open_session = partial(onnx_session, threads=1)
@@ -156,8 +156,10 @@ def asked(folder: Path) -> PhoneInputs:
     wide = np.arange(10) < 6
     frames = pd.DataFrame({"width": np.where(wide, WIDTH, HEIGHT), "height": np.where(wide, HEIGHT, WIDTH)})
     frames = frames.assign(fx=FOCAL, fy=FOCAL, cx=frames["width"] / 2, cy=frames["height"] / 2, stated_fx=FOCAL)
-    frames = frames.assign(distortion=[()] * 10, first_row=None, gravity_x=np.nan, gravity_y=np.nan, gravity_z=np.nan)
-    frames["file"] = [folder / f"{row}.png" for row in range(10)]
+    frames = frames.assign(
+        distortion=cells([()] * 10), first_row=None, gravity_x=np.nan, gravity_y=np.nan, gravity_z=np.nan
+    )
+    frames["file"] = cells(folder / f"{row}.png" for row in range(10))
     for file, width, height in zip(frames["file"], frames["width"], frames["height"], strict=True):
         PIL.Image.new("RGB", (width, height)).save(file, exif=PLACE)
     trained = Trained(WithCovariance(), ["Wall"], 40, 32, 45.0, 32, False)

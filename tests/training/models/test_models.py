@@ -126,6 +126,7 @@ def test_scene_is_the_true_one_in_training_and_the_likeliest_in_testing(monkeypa
 
 def test_a_crop_beyond_the_embedded_cells_is_refused() -> None:
     model = made("MS-T")
+    assert isinstance(model, MSTransformer)
     assert model._place(torch.zeros(1, 1, 50, 50)).shape == (2500, 256)
     with pytest.raises(UserError, match=r"(?s)400 px a side at most.*56 x 56 cells.*crop"):
         model._place(torch.zeros(1, 1, 56, 56))
