@@ -8,6 +8,7 @@ run. When all is done it is put in place; until then nothing of the scene has ch
 import contextlib
 import os
 import shutil
+import tempfile
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,7 +37,7 @@ from groundwalk.store.locks import locked
 from groundwalk.store.manifests import MANIFEST, listed_files, load_manifest
 from groundwalk.store.outdated import is_up_to_date
 from groundwalk.store.schemas import schema
-from groundwalk.store.settings import DataRoot
+from groundwalk.store.settings import DataRoot, resolve_settings
 from groundwalk.store.tables import map_unit, read_table
 
 app = new_app("Recordings into a finished ground truth, or out of it.")
@@ -89,16 +90,19 @@ def _change(data: DataRoot, profile: str, scene: str, new: Path | None, gone: st
         note = read_json(aside / KEY_FILE)
         if note.get("key") != key or "done" not in note:
             place = Path(new.name) if new else _path_of(captures, gone)
-            if new and os.path.lexists(captures / place):
-                raise UserError(f"the captures have {place} already", where=captures / place, do="give it another name")
             note = {"key": key, "before": _keys(data, profile, scene)}
+            note["into"] = _folder_for(captures, data, profile, scene) if new else ""
+            if new and (os.path.lexists(captures / place) or place.name == note["into"]):
+                raise UserError(f"the captures have {place} already", where=captures / place, do="give it another name")
             if read_json(aside / KEY_FILE) != note:
                 shutil.rmtree(aside, ignore_errors=True)
                 aside.mkdir(parents=True)
                 write_json(aside / KEY_FILE, note)
             with held(data, profile, [scene], _STAGES) as refuse_changed:
                 try:
-                    _make(DataRoot(aside, run, holds=not refine), data, profile, scene, new, place)
+                    made = DataRoot(aside, run, holds=not refine)
+                    _copy_captures(made.captures(scene), captures.resolve(), note["into"], new, place)
+                    _make(made, data, profile, scene)
                 except (UserError, OSError) as error:
                     if not isinstance(error, MachineError | ProcessDied):  # of these the same command resumes
                         shutil.rmtree(aside, ignore_errors=True)
@@ -138,23 +142,29 @@ def _path_of(captures: Path, recording: str) -> Path:
     return top[0]
 
 
-def _make(changed: DataRoot, data: DataRoot, profile: str, scene: str, new: Path | None, place: Path) -> None:
-    """Run the stages on the captures with what is `new`, or without what lies at `place`; what a killed run of the same
-    change did is reused."""
-    from groundwalk.store.stage import execute
+def _folder_for(captures: Path, data: DataRoot, profile: str, scene: str) -> str:
+    """What the captures are to be in a folder of captures, by their name, where they are one recording themselves; its
+    id stays. Empty where they are a folder of recordings."""
+    from groundwalk.capture_import.discovery import find_recordings
+    from groundwalk.capture_import.settings import ImportSettings
 
-    for path in data.root.iterdir():
-        if path.name not in ("captures", "runs") and not (changed.root / path.name).is_symlink():
-            (changed.root / path.name).symlink_to(path)
-    target, captures = changed.captures(scene), data.captures(scene).resolve()
+    settings = resolve_settings(ImportSettings, "import", data, profile, scene)
+    with tempfile.TemporaryDirectory(dir=data.run(profile, scene)) as unpacked:
+        found = find_recordings(captures, Path(unpacked), settings.limits, settings.format)
+    return "" if found[0].parts else captures.resolve().name
+
+
+def _copy_captures(target: Path, captures: Path, into: str, new: Path | None, place: Path) -> None:
+    """What is captured (in the folder `into`, where that is named) with what is `new`, or without what lies at
+    `place`."""
 
     def ignored(folder: str, names: list[str]) -> list[str]:
         return [name for name in names if name.startswith(".") or (not new and Path(folder, name) == captures / place)]
 
     shutil.rmtree(target, ignore_errors=True)
-    shutil.copytree(captures, target, ignore=ignored, copy_function=link_or_copy, symlinks=True)
+    shutil.copytree(captures, target / into, ignore=ignored, copy_function=link_or_copy, symlinks=True)
     for link in filter(Path.is_symlink, capture_files(target)):  # what it leads to may be hidden, and isn't there then
-        if (file := captures / link.relative_to(target)).is_file():
+        if (file := captures / link.relative_to(target / into)).is_file():
             link.unlink()
             if (file := file.resolve()).is_relative_to(captures):
                 link_or_copy(file, link)
@@ -163,17 +173,29 @@ def _make(changed: DataRoot, data: DataRoot, profile: str, scene: str, new: Path
     if new:
         copy: Any = shutil.copytree if new.is_dir() else shutil.copy2
         copy(new, target / place)
+
+
+def _make(changed: DataRoot, data: DataRoot, profile: str, scene: str) -> None:
+    """Run the stages on the changed captures; what a killed run of the same change did is reused."""
+    from groundwalk.store.stage import execute
+
+    for path in data.root.iterdir():
+        if path.name not in ("captures", "runs") and not (changed.root / path.name).is_symlink():
+            (changed.root / path.name).symlink_to(path)
     for name in _STAGES:
         execute(stage_of(name), scene, profile, changed)
 
 
 def _put_in_place(aside: Path, data: DataRoot, profile: str, scene: str, is_new: bool) -> None:
     """Move what was made to where it belongs; a run that was killed here is finished by the same command."""
-    captures, done = data.captures(scene), read_json(aside / KEY_FILE)["done"]
+    captures, note = data.captures(scene), read_json(aside / KEY_FILE)
+    done, into = note["done"], note.get("into")
     with contextlib.ExitStack() as locks:
         for folder in (captures, *(data.run(profile, scene, name) for name in _STAGES)):
             locks.enter_context(locked(folder))
         made = DataRoot(aside)
+        if into:
+            _into_folder(captures, made.captures(scene) / into)
         if is_new and not os.path.lexists(captures / done):
             arriving = captures / f".{Path(done).name}.partial"
             shutil.rmtree(arriving, ignore_errors=True)
@@ -202,6 +224,20 @@ def _put_in_place(aside: Path, data: DataRoot, profile: str, scene: str, is_new:
             if (partial_folder(final) / MANIFEST).is_file():
                 swap_in(partial_folder(final), final, listed_files)
     shutil.rmtree(aside)
+
+
+def _into_folder(captures: Path, copy: Path) -> None:
+    """Make of captures that are one recording, or a link to one, of which there is a copy, a folder with it."""
+    if not captures.is_symlink() and (captures / copy.name).exists():
+        return
+    folder = captures.with_name(f".{captures.name}.partial")
+    if not (folder / copy.name).exists():
+        folder.mkdir(exist_ok=True)
+        (copy if captures.is_symlink() else captures).rename(folder / copy.name)
+    if captures.is_symlink():
+        captures.unlink()
+    folder.rename(captures)
+    progress.console.print(f"  {captures} is a folder of recordings now, with {copy.name} in it")
 
 
 def _tell(data: DataRoot, profile: str, scene: str) -> None:

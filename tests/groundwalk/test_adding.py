@@ -120,6 +120,30 @@ def test_an_added_walk_leaves_the_others_as_they_are_and_can_be_taken_out(data: 
     assert (data.captures("room") / ".removed" / "three" / "frames.jsonl").is_file()
 
 
+@pytest.mark.parametrize("is_link", [True, False])
+def test_a_walk_is_added_to_captures_that_are_one_recording(tmp_path: Path, walks: Path, is_link: bool) -> None:
+    """As of `groundwalk run --captures one`: they become a folder of recordings, and a folder that was linked stays."""
+    data, one = DataRoot(tmp_path / "data"), Path(shutil.copytree(walks / "one", tmp_path / "one"))
+    captures = data.captures("room")
+    captures.parent.mkdir(parents=True)
+    if is_link:
+        captures.symlink_to(one)
+    else:
+        shutil.copytree(one, captures)
+    (data.root / "scenes").mkdir()
+    (data.root / "scenes" / "room.toml").write_text(_CONFIG)
+    _build(data)
+    before, name = _truth(data).set_index("frame_id"), "one" if is_link else "room"
+    assert "room, version 2: three added, 10 of 10 frames" in _command(data, "add", str(walks / "three"))
+    after = _truth(data).set_index("frame_id")
+    pd.testing.assert_frame_equal(after.loc[before.index], before, check_exact=True)
+    assert set(after["session_id"]) == {name, "three"}
+    assert {p.name for p in captures.iterdir()} == {name, "three"} and not captures.is_symlink()
+    assert {p.name for p in one.iterdir()} == {p.name for p in (walks / "one").iterdir()}
+    todo = [s.command for s in steps(data, "tiny", "room", "align") if not is_step_up_to_date(s, "tiny", data)]
+    assert todo == ["report"]
+
+
 def test_no_millimetres_are_told_of_a_map_without_metric_scale(
     data: DataRoot, capsys: pytest.CaptureFixture[str]
 ) -> None:
