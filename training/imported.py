@@ -6,18 +6,16 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.files import sha256_of
 from groundwalk.store.registry import AN_ID, is_id
-from groundwalk.store.tables import covariance_numbers, pose_columns, read_parquet
+from groundwalk.store.tables import covariance_numbers, pose_columns, read_parquet, refuse_other_types
 from groundwalk.training.settings import TrainSettings
 
 _POSE = pose_columns("map_cam")
 _NEEDED = ["model", "frame_id", *_POSE]
 _OPTIONAL = ["picked_scene", "covariance", "inference_ms"]
-_TEXT, _NUMBERS = ["frame_id", "scene", "picked_scene"], [*_POSE, "inference_ms"]
 _MIN_QUATERNION, _MAX_QUATERNION = 0.2, 5.0  # what a network puts out may not be normalised; degrees are far from it
 
 
@@ -68,21 +66,7 @@ def _read(path: Path) -> pd.DataFrame:
     if missing or table.empty:
         fault = f"no {', '.join(missing)}" if missing else "no rows"
         raise UserError("a file of predictions lacks something", where=path, expected=", ".join(_NEEDED), found=fault)
-    for column in table.columns.intersection([*_TEXT, *_NUMBERS]):
-        values = table[column]
-        if column in _OPTIONAL and values.isna().all():
-            continue
-        if column in _TEXT:
-            sound, expected = is_string_dtype(values.dropna()), "text"
-        else:
-            sound, expected = is_float_dtype(values) or is_integer_dtype(values), "numbers"
-        if not sound:
-            raise UserError(
-                f"a column of predictions holds no {expected}",
-                where=f"{path}, column {column}",
-                expected=expected,
-                found=values.dtype,
-            )
+    refuse_other_types(table, ["frame_id", "scene", "picked_scene", *_POSE, "inference_ms"], "predictions", f"{path}, ")
     if "covariance" in table.columns:
         table["covariance"] = _covariances(table, path)
     wrong = [name for name in table["model"].unique() if not is_id(name)]

@@ -3,12 +3,10 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 
 from groundwalk.fusion.files.odometry_conventions import shares_vertical
 from groundwalk.fusion.methods.localiser import is_covariance
@@ -24,6 +22,7 @@ from groundwalk.store.tables import (
     pose_columns,
     poses_of,
     read_parquet,
+    refuse_other_types,
 )
 
 MIN_OVERLAP = 0.5
@@ -302,7 +301,6 @@ def _gravity(frames: pd.DataFrame) -> Array:
 
 
 _GRAVITY = [f"gravity_{a}" for a in "xyz"]
-_TEXT = ["frame_id", "session_id", "split", "model", "quality"]
 
 
 def _need(table: pd.DataFrame, columns: list[str], prefix: str, what: str) -> None:
@@ -315,25 +313,7 @@ def _need(table: pd.DataFrame, columns: list[str], prefix: str, what: str) -> No
     unset = [c for c in columns if table[c].isna().any()]
     if unset:
         raise UserError(f"{what} have empty values", where=f"column {unset[0]}", expected="a value in each row")
-    for column in table.columns.intersection([*wanted, *_GRAVITY, *_TEXT, "t_ns"]):
-        _refuse_other_type(table[column], what)
-
-
-def _refuse_other_type(column: "pd.Series[Any]", what: str) -> None:
-    """A column that isn't what its name says: text, whole nanoseconds, or numbers. An empty one has no type."""
-    name = str(column.name)
-    if column.isna().all():
-        return
-    if name in _TEXT:
-        sound, expected = is_string_dtype(column.dropna()), "text"
-    elif name == "t_ns":
-        sound, expected = is_integer_dtype(column), "whole numbers of nanoseconds (int64)"
-    else:
-        sound, expected = is_float_dtype(column) or is_integer_dtype(column), "numbers"
-    if not sound:
-        raise UserError(
-            f"{what}: a column has another type", where=f"column {name}", expected=expected, found=column.dtype
-        )
+    refuse_other_types(table, [*wanted, *_GRAVITY, "session_id", "t_ns", "quality"], what)
 
 
 def _refuse_unknown_quality(truth: pd.DataFrame, what: str) -> None:

@@ -1,5 +1,6 @@
 """Parquet tables that are checked against their schema on the way out and on the way in, and users' CSVs."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
+from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.fits import sim3_between
@@ -21,6 +23,7 @@ CAMERA_COLUMNS = ["fx", "fy", "cx", "cy", "distortion"]
 GUESS_SD = 0.5
 """Of a guessed focal length, as a fraction: phones' are 0.7 to 0.9 of the longer side, other cameras' 1 to 3."""
 _QUATERNION_TOLERANCE = 1e-6
+_TEXT = ["frame_id", "session_id", "split", "model", "quality", "scene", "picked_scene"]
 
 
 def write_table(path: Path, frame: pd.DataFrame, schema: TableSchema) -> None:
@@ -103,6 +106,26 @@ def read_parquet(path: Path) -> pd.DataFrame:
     if len(twice := frame.columns[frame.columns.duplicated()]):
         raise UserError("a table has a column twice", where=path, found=twice[0])
     return frame.astype(dict.fromkeys(frame.select_dtypes("category").columns, object))
+
+
+def refuse_other_types(table: pd.DataFrame, columns: Iterable[str], what: str, where: str = "") -> None:
+    """UserError where one of the columns, of those that the table has, isn't what its name says: text, whole
+    nanoseconds, or numbers. An empty column has no type."""
+    for name in table.columns.intersection(list(columns)):
+        column = table[name].dropna()
+        if name in _TEXT:
+            is_sound, kind = is_string_dtype(column), "text"
+        elif name == "t_ns":
+            is_sound, kind = is_integer_dtype(column), "whole numbers of nanoseconds (int64)"
+        else:
+            is_sound, kind = is_float_dtype(column) or is_integer_dtype(column), "numbers"
+        if len(column) and not is_sound:
+            raise UserError(
+                f"{what}: a column has another type, no {kind}",
+                where=f"{where}column {name}",
+                expected=kind,
+                found=column.dtype,
+            )
 
 
 def _refuse_paths_outside(table: pa.Table, schema: TableSchema, where: Path) -> None:
