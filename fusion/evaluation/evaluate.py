@@ -24,7 +24,7 @@ from groundwalk.fusion.evaluation.sweep import around, sweep
 from groundwalk.fusion.evaluation.validation import validation_rows
 from groundwalk.fusion.files.odometry_conventions import refuse_other_conventions, refuse_unrelated
 from groundwalk.fusion.files.quaternion_order import refuse_scalar_first
-from groundwalk.fusion.files.walks import Evaluated, Inputs, check, evaluated
+from groundwalk.fusion.files.walks import Evaluated, Inputs, check, evaluated, true_poses
 from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.fusion.methods.paper_rule import PaperRuleOptions
@@ -91,6 +91,8 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
                     fused += fuse_all(run, with_odometry(joined.walks) if method(name).fuses else joined.walks, make)
             except PluginError as fault:
                 left_out[name] = fault
+    ran = {f.run.method: options[f.run.method] for f in fused if f.run.method not in left_out}
+    validation = validation_rows(held_out_walks(inputs, settings), ran, left_out)
     fused = [f for f in fused if f.run.method not in left_out]
     options = {name: chosen for name, chosen in options.items() if name in {f.run.method for f in fused}}
     if not options:
@@ -109,8 +111,8 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
     rule = next((chosen for chosen in options.values() if isinstance(chosen, PaperRuleOptions)), None)
     if rule is not None:
         tables["sweep"] = sweep({case: on for case, part in walks.items() if (on := with_odometry(part))}, around(rule))
-    if validated := [validation_rows(walks, model, options) for model, walks in held_out_walks(inputs, settings)]:
-        tables["validation"] = stacked(validated)
+    if len(validation):
+        tables["validation"] = validation
     gates = {name: chosen.gates for name, chosen in options.items()}
     return Results(fused, tables, counts, gates, list(left_out.values()))
 
@@ -145,7 +147,7 @@ def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator
         return
     for scene in inputs:
         held = scene.frames[scene.frames["split"] == Split.VAL]
-        true = held["frame_id"].isin(scene.truth.loc[scene.truth["map_cam_tx"].notna(), "frame_id"])
+        true = known(true_poses(scene.truth.set_index("frame_id").reindex(held["frame_id"])))
         for model, predictions in scene.predictions.groupby("model", sort=False):
             both = true & held["frame_id"].isin(predictions["frame_id"])
             if len(held) and both.mean() >= 0.5:

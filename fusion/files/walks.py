@@ -123,13 +123,11 @@ def evaluated(
     ordered = chosen.sort_values(["session_id", "t_ns"], kind="stable")
     # Of each evaluated frame, null where it has none.
     predicted, stated = (table.set_index("frame_id").reindex(ordered["frame_id"]) for table in (predictions, truth))
-    vio_T, apr_T, true_T = _poses(ordered, "vio_cam"), _poses(predicted, "map_cam"), _poses(stated, "map_cam")
+    vio_T, apr_T, true_T = _poses(ordered, "vio_cam"), _poses(predicted, "map_cam"), true_poses(stated)
     covariance, unsound = _covariances(predicted)
     if map_unit(truth) is not MapUnit.METRE:
         vio_T[:] = np.nan  # metres can't be fused with poses in another unit
-    quality = _qualities(stated)
-    true_T[quality == "none"] = np.nan
-    true = known(true_T)
+    quality, true = _qualities(stated), known(true_T)
     if not true.any():
         raise UserError(
             f"scene {scene}: no evaluated frame has ground truth",
@@ -230,6 +228,13 @@ def _covariances(predictions: pd.DataFrame) -> tuple[Array | None, int]:
         else:
             unsound += 1
     return covariances, unsound
+
+
+def true_poses(truth: pd.DataFrame) -> Array:
+    """Rows of ground truth as (N, 4, 4), NaN where there is none."""
+    map_T_cam = _poses(truth, "map_cam")
+    map_T_cam[_qualities(truth) == "none"] = np.nan
+    return map_T_cam
 
 
 def _outside(apr_T: Array, true_T: Array) -> int:

@@ -1,9 +1,11 @@
 """Evaluation of tables: figures against a direct count, bad input, and the command line."""
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Callable
 from functools import partial
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +21,14 @@ from groundwalk.fusion.definition import FuseSettings
 from groundwalk.fusion.evaluation.evaluate import Results, evaluate, report_lines
 from groundwalk.fusion.evaluation.sweep import VALUES
 from groundwalk.fusion.files.walks import Files, Inputs, evaluated
+from groundwalk.fusion.methods import METHODS
+from groundwalk.fusion.methods.last_good import LastGood
+from groundwalk.fusion.methods.localiser import Estimate
+from groundwalk.geometry.poses import Array
 from groundwalk.store import UserError
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.files import write_json
+from groundwalk.store.registry import Source
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of, read_table
 from tests.fusion.tables import Tables, tables
@@ -98,6 +105,33 @@ def test_held_out_frames_say_which_method_is_ahead() -> None:
         if column.startswith("map_cam_"):
             few[column] = few[column].where(is_known)
     assert "validation" not in evaluated(frames, few, predictions).tables
+
+
+def test_held_out_frames_of_no_quality_hold_up_nothing() -> None:
+    frames, truth, predictions = held_out_tables()
+    quality = np.where(truth["split"] == "val", "none", "A")
+    results = run(frames, truth.assign(quality=quality), predictions, methods=["raw", "paper_rule"])
+    assert "validation" not in results.tables and len(results.tables["errors"]) == 160
+
+
+def test_a_plugin_that_fails_on_held_out_frames_alone_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Picky(LastGood):
+        def _fuse(self, t_ns: int, vio_T_cam: Array, map_T_cam_predicted: Array | None) -> Estimate:
+            if t_ns in held_out:
+                raise ZeroDivisionError("no such place")
+            return super()._fuse(t_ns, vio_T_cam, map_T_cam_predicted)
+
+    parts = held_out_tables()
+    held_out = set(parts[0].loc[parts[0]["split"] == "val", "t_ns"]) - set(parts[0].query("split == 'test'")["t_ns"])
+    picky = dataclasses.replace(METHODS["last_good"], id="picky", make=Picky)
+    source = Source("picky", "1", EntryPoint("picky", "picky:METHOD", METHODS.group))
+    monkeypatch.setitem(METHODS._others.entries, "picky", picky)
+    monkeypatch.setitem(METHODS._others.sources, "picky", source)
+    results = run(*parts, methods=["raw", "picky"])
+    assert [error.reason for error in results.left_out] == ["ZeroDivisionError: no such place"]
+    for name in ("validation", "errors", "methods"):
+        assert set(results.tables[name]["method"]) == {"raw"}, name
+    assert results.tables["validation"]["ahead"].all()
 
 
 def test_offline_methods_do_not_shrink_what_causal_ones_are_compared_on() -> None:
