@@ -20,6 +20,7 @@ from groundwalk.reports.grids import EMPTY, OURS, PUBLISHED, Block, Grid, Row
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
 from groundwalk.scoring.errors import sure_enough
+from groundwalk.store.tables import gap_warning
 
 SUBSET_TITLES = {
     "rp": "Only reliable predictions",
@@ -244,7 +245,8 @@ class Tables:
                 facts.append(f"{', '.join(shares)} of them")
             elif scene.fuses:
                 facts.append(f"{PAPER_METHOD}, the paper's rule, wasn't run")
-            note = f"{scene.name}: {'; '.join([*facts, *filter(None, [scene.why_alone()])])}."
+            rule = scene.poses.loc[scene.poses["method"] == PAPER_METHOD, "reasons"]
+            note = f"{scene.name}: {'; '.join([*facts, *filter(None, [gap_warning(rule), scene.why_alone()])])}."
             if scene.ground_truth["gt_uses_vio"].any():
                 note += " VIO positions took part in this ground truth, which flatters methods that use VIO."
             notes.append(note)

@@ -32,7 +32,7 @@ from groundwalk.fusion.walk import Walk, known, with_odometry
 from groundwalk.store.choices import MapUnit, Split
 from groundwalk.store.progress import track
 from groundwalk.store.registry import PluginError
-from groundwalk.store.tables import map_unit, scale_warning
+from groundwalk.store.tables import gap_warning, map_unit, scale_warning
 
 
 @dataclass(frozen=True)
@@ -201,6 +201,9 @@ def report_lines(results: Results) -> list[str]:
         if warning := scale_warning(unit):
             lines.append(f"warning: {scene}: {warning}; odometry, in metres, takes no part")
     lines += [f"warning: {n} {meaning}" for name, meaning in _WARNINGS.items() if (n := results.counts[name])]
+    for name, reasons in results.tables["poses"].groupby("method", sort=False)["reasons"]:
+        if warning := gap_warning(reasons):
+            lines.append(f"warning: {name}: {warning}")
     for row in summary[(summary["subset"] == "all") & (summary["scored"] == "method")].to_dict("records"):
         position = f"{row['position_mean_m']:.3g} {units[row['scene']].symbol}"
         error = f"{position}, {row['rotation_mean_deg']:.3g} deg" if row["answered"] else "no pose"

@@ -24,6 +24,7 @@ GUESS_SD = 0.5
 """Of a guessed focal length, as a fraction: phones' are 0.7 to 0.9 of the longer side, other cameras' 1 to 3."""
 _QUATERNION_TOLERANCE = 1e-6
 _TEXT = ["frame_id", "session_id", "split", "model", "quality", "scene", "picked_scene"]
+_MANY_GAPS = 0.5  # of frames; recordings at the right rate have fewer, even poor ones
 
 
 def write_table(path: Path, frame: pd.DataFrame, schema: TableSchema) -> None:
@@ -233,6 +234,18 @@ def with_gravity_of_map(frames: pd.DataFrame, truth: pd.DataFrame) -> pd.DataFra
 def scale_warning(unit: MapUnit) -> str:
     """What stands by the positions of a map without metric scale; empty for a metric one."""
     return "" if unit is MapUnit.METRE else f"NO METRIC SCALE: positions are in {unit}, not in metres"
+
+
+def gap_warning(reasons: pd.Series) -> str:
+    """What stands by the results of a fusion method that checks each prediction by the one before, where it rarely can;
+    empty elsewhere. reasons: those of its rows of fuse.poses."""
+    apart = reasons.str.split(",").map(lambda codes: "gap" in codes).mean()
+    if not apart > _MANY_GAPS:
+        return ""
+    return (
+        f"{apart:.0%} of its frames aren't checked, as the predictions before them aren't interval_s, give or take "
+        "interval_tolerance_s, earlier: set these options to the predictions' rate"
+    )
 
 
 def points_in_map(points: pd.DataFrame, images: pd.DataFrame, truth: pd.DataFrame) -> pd.DataFrame:

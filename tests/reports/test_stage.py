@@ -472,9 +472,11 @@ def test_no_path_is_walked_where_none_is_known(make_run: MakeRun) -> None:
 @pytest.mark.usefixtures("no_figures")
 def test_walks_without_vio_beside_others_are_scored_alone(make_run: MakeRun) -> None:
     data = make_run(Hall={"without_vio": ("walk_2", "walk_4")})
+    rewrite(data, "Hall", "fuse", "poses", table_of(data, "Hall", "fuse", "poses").assign(reasons="gap"))
     report = execute(STAGE, "Hall", "tiny", data)
     page = page_of(report)
     assert "No VIO in walk_4: nothing is fused there" in page
+    assert "100% of its frames aren&#39;t checked" in page[page.index('id="table2"') :]
     raw = errors_of(data, "Hall", "PN", "raw")
 
     def medians(**keys: str) -> list[float]:

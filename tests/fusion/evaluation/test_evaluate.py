@@ -134,6 +134,19 @@ def test_a_plugin_that_fails_on_held_out_frames_alone_is_left_out(monkeypatch: p
     assert results.tables["validation"]["ahead"].all()
 
 
+def test_predictions_at_another_rate_than_a_method_checks_them_at_are_said() -> None:
+    parts = tables([1, 2])
+    methods = ["raw", "paper_rule", "last_good"]
+    assert not any("aren't checked" in line for line in report_lines(run(*parts, methods=methods)))
+    for table in parts:
+        table["t_ns"] //= 5
+    said = [line for line in report_lines(run(*parts, methods=methods)) if "aren't checked" in line]
+    assert [line.split(": ")[1] for line in said] == ["paper_rule", "last_good"] and "interval_s" in said[0]
+    at_5_hz = {"interval_s": 0.2, "interval_tolerance_s": 0.1}
+    options = dict.fromkeys(methods[1:], at_5_hz)
+    assert not any("aren't checked" in line for line in report_lines(run(*parts, methods=methods, options=options)))
+
+
 def test_offline_methods_do_not_shrink_what_causal_ones_are_compared_on() -> None:
     frames, truth, predictions = tables(SEEDS)
     causal = ["raw", "drift_aware"]
