@@ -123,21 +123,23 @@ def record(
 ) -> None:
     """Log what each method said of each walk. `gates` has the thresholds of each method's signals; `frames`, of scenes
     with images, the rows of import.frames and the `file` of each."""
-    starts: dict[tuple[str, str, str], int] = {}
+    starts: dict[tuple[str, str, str, int], int] = {}
+    names: dict[tuple[str, str, str, int], str] = {}
     counted: Counter[str] = Counter()
     for f in fused:
         walk, method = f.walk, f.run.method
-        key = (walk.scene, walk.session_id, walk.split)
+        key = (walk.scene, walk.session_id, walk.split, int(walk.t_ns[0]))
         first = key not in starts
         if first:
+            stretch = sum(other[:3] == key[:3] for other in starts)  # a split may have several of a session
+            names[key] = _path(walk.session_id, f"{walk.split}_{stretch + 1}" if stretch else walk.split)
             starts[key] = counted[walk.scene]
             counted[walk.scene] += len(walk)
         times = [
             rr.TimeColumn(FRAME_TIMELINE, sequence=starts[key] + np.arange(len(walk))),
             rr.TimeColumn(TIMELINE, duration=(walk.t_ns - walk.t_ns[0]).astype("timedelta64[ns]")),
         ]
-        name = _path(walk.session_id, walk.split)
-        scene, at = _path(walk.scene), _path(walk.scene, f.run.model)
+        name, scene, at = names[key], _path(walk.scene), _path(walk.scene, f.run.model)
         if first:
             stream.log(scene, UP_AXIS, static=True)
             _log_walk(stream, f"{scene}/ground_truth", name, times, walk.map_T_cam, colours.GROUND_TRUTH)

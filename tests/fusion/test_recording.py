@@ -51,3 +51,15 @@ def test_every_source_has_its_own_path_and_moves_with_the_walk(tmp_path: Path) -
     for kind in ("ground_truth", "PN\\:\\ ü\\ 2\\/3/raw", "PN\\:\\ ü\\ 2\\/3/fused/drift_aware"):
         for session in ("first\\ walk\\/a", "s2"):
             assert f"/Place/{kind}/path/{session}/test" in rows
+
+
+def test_stretches_of_a_split_follow_one_another(tmp_path: Path) -> None:
+    parts = tables([1])
+    for table in parts:  # held-out frames lie between training frames
+        table["split"] = ["train"] * 15 + ["val"] * 10 + ["train"] * 15
+    results = evaluate([Inputs("Place", *parts)], FuseSettings(methods=["raw"], splits=["train", "val"]))
+    with open_recording(tmp_path / "r.rrd", "fuse", "Place", blueprint(results.fused, results.gates)) as stream:
+        record(stream, results.fused, results.gates, {})
+    rows = rows_of(tmp_path / "r.rrd")
+    assert rows["/Place/ground_truth/now"] == rows["/Place/PN/raw/now"] == 40
+    assert {f"/Place/PN/raw/path/s1/{name}" for name in ("train", "val", "train_2")} <= set(rows)
