@@ -79,7 +79,8 @@ def write_sweep_figure(sweep: pd.DataFrame, path: Path) -> None:
         for row, (name, label) in enumerate(_ROWS):
             ax = axes[row, column]
             for number, (key, rows) in enumerate(groups):
-                _draw(ax, rows[rows["varied"] == threshold], threshold, name, number, " ".join(map(str, key)))
+                who = " ".join(map(str, key)).replace("$", r"\$")  # no formula
+                _draw(ax, rows[rows["varied"] == threshold], threshold, name, number, who)
             ax.axvline(in_force, color="grey", lw=0.8, ls=":")
             ax.spines[["top", "right"]].set_visible(False)
             ax.set_ylim(bottom=0)
