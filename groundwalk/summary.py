@@ -74,7 +74,11 @@ def _errors(table: pd.DataFrame, splits: str) -> Iterator[tuple[str, str]]:
     for row in rows:
         # Tables of older runs say nothing of it.
         unit = MapUnit(row.map_unit).symbol if isinstance(row.map_unit, str) else "m"
-        medians = [(float(row.position_median_m), f"{{:.2f}} {unit}"), (float(row.rotation_median_deg), "{:.1f} deg")]
-        figures = ", ".join("infinite" if np.isnan(value) else pattern.format(value) for value, pattern in medians)
+        medians = [(float(row.position_median_m), 2, unit), (float(row.rotation_median_deg), 1, "deg")]
+        # Below 0.1 as the page has it: a structure localiser is off by millimetres.
+        figures = ", ".join(
+            "infinite" if np.isnan(value) else f"{value:.{3 if value < 0.1 else digits}f} {of}"
+            for value, digits, of in medians
+        )
         subject = f"{row.method}, {row.model}" + (f", {row.scene}" if several else "")
         yield subject, f"median {figures}; {row.answered} of {row.frames} {splits} frames have a pose"

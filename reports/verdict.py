@@ -1,5 +1,6 @@
 """The verdict on a capture: which frames can be trusted to what, why the others can't, and where VIO drifts."""
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -15,7 +16,7 @@ from groundwalk.reports.grids import EMPTY
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.scoring.errors import SURE_CLASSES, within_bounds
 from groundwalk.store.choices import CheckName, DriftDefinition, MapUnit, NotRegistered, QualityClass, Rejected
-from groundwalk.store.tables import have_times, poses_of
+from groundwalk.store.tables import has_vertical, have_times, poses_of
 from groundwalk.store.text import grouped_reasons
 
 _PARTS = (slice(3), slice(3, 6))  # of a covariance
@@ -147,7 +148,7 @@ def state_of(checks: pd.DataFrame, quality: pd.Series) -> tuple[State, str]:
     reasons = list(dict.fromkeys(of_map.loc[of_map["status"] != "passed", "reason"]))
     share = quality.isin(SURE_CLASSES).mean()
     if share < MIN_TRUSTED:
-        reasons.append(f"{100 * MIN_TRUSTED:.0f} % are needed")
+        reasons.append(f"{math.ceil(MIN_TRUSTED * len(quality))} of {len(quality)} are needed")
     if reasons:
         return State.UNDECIDED, f"{100 * share:.0f} % of the frames are of class A or B, but: {'; '.join(reasons)}"
     return State.ACCEPTED, f"{100 * share:.0f} % of the frames are of class A or B; scale and vertical are known"
@@ -179,7 +180,8 @@ def _frames(scene: SceneInputs) -> pd.DataFrame:
         travelled=0.0,
     )
     raw_vio = poses_of(frames, "vio_cam")[:, :3, 3]
-    walked = np.where(np.isnan(raw_vio), map_xyz, raw_vio)
+    in_map = scene.unit is not MapUnit.METRE  # lengths by VIO would be in another unit than those of the map
+    walked = map_xyz if in_map else np.where(np.isnan(raw_vio), map_xyz, raw_vio)
     for rows in frames.groupby("session_id").indices.values():
         steps = np.linalg.norm(np.diff(walked[rows], axis=0), axis=1)  # nothing from or to an unknown position
         table.loc[rows, "travelled"] = np.cumsum(np.r_[0.0, np.nan_to_num(steps)])
@@ -235,7 +237,7 @@ def _true_residuals(scene: SceneInputs) -> tuple[Array, Array]:
     map_T_cam, true_T_cam = poses_of(scene.ground_truth, "map_cam"), scene.true_T_cam
     errors = np.full((2, len(map_T_cam)), np.nan)
     known = np.isfinite(map_T_cam).all(axis=(1, 2))
-    if true_T_cam is None or scene.unit is not MapUnit.METRE:
+    if true_T_cam is None or scene.unit is not MapUnit.METRE or not has_vertical(scene.ground_truth):
         return errors[0], errors[1]
     known &= np.isfinite(true_T_cam).all(axis=(1, 2))
     try:

@@ -172,6 +172,8 @@ def test_a_summary_of_what_has_no_vio_no_scale_or_other_splits(make_run: Make) -
     assert "of VIO path; no VIO in 1 of them" in text
     text = rewritten("fuse", "summary", lambda s: s.assign(map_unit=MapUnit.SFM))
     assert "median 0.50 map units, 2.0 deg" in text
+    text = rewritten("fuse", "summary", lambda s: s.assign(position_median_m=0.004, rotation_median_deg=0.02))
+    assert "median 0.004 map units, 0.020 deg" in text
     text = rewritten("fuse", "errors", lambda e: pd.concat([e.assign(split="val"), e]))
     assert "6 of 6 val and test frames have a pose" in text
 

@@ -4,6 +4,8 @@ import json
 import shutil
 from base64 import b64encode
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -15,17 +17,18 @@ from groundwalk.commands import closing_lines
 from groundwalk.fusion.evaluation.summary import summarise
 from groundwalk.geometry.poses import make_pose, yaw_rotation
 from groundwalk.reports.definition import STAGE
-from groundwalk.reports.verdict import FRAME_ADVICE
+from groundwalk.reports.inputs import SceneInputs
+from groundwalk.reports.verdict import FRAME_ADVICE, judge, state_of
 from groundwalk.store.choices import NotRegistered
 from groundwalk.store.files import read_json, write_json
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.stage import execute
-from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
+from groundwalk.store.tables import dataset_frames, map_unit, pose_frame, poses_of, read_table, write_table
 from tests.known import cells as values
-from tests.known import rewrite, table_of
-from tests.reports.made_up_scenes import page_of, rows_of
+from tests.known import note_outputs, rewrite, table_of
+from tests.reports.made_up_scenes import MadeUpScene, page_of, rows_of
 
 MakeRun = Callable[..., DataRoot]
 pytestmark = pytest.mark.usefixtures("no_figures")
@@ -126,6 +129,30 @@ def test_of_a_map_of_images_alone_no_sigma_is_said(make_run: MakeRun) -> None:
     assert "look-alike places may be one in it" in page
 
 
+def test_without_metric_scale_the_walk_is_as_long_as_in_the_map() -> None:
+    """VIO's metres aren't of the map's unit."""
+    tables = MadeUpScene("Yard", 0, train=12, test=8, uncertain=0.49, scale_source="none").tables()
+    truth = tables["align"]["ground_truth"].copy()
+    truth[["map_cam_tx", "map_cam_ty", "map_cam_tz"]] *= 3
+    made = SimpleNamespace(
+        frames=dataset_frames(tables["import"]["frames"]), ground_truth=truth, unit=map_unit(truth), stages={"align"},
+        stopped={}, is_images_alone=False, true_T_cam=None, rejects=tables["import"]["rejects"],
+        residuals=tables["align"]["residuals"], align_sessions=tables["align"]["sessions"],
+        align_checks=tables["align"]["checks"],
+    )  # fmt: skip
+    verdict = judge(cast(SceneInputs, made))
+    walk = poses_of(truth[truth["session_id"] == "walk_1"], "map_cam")[:, :3, 3]
+    of_walk = verdict.frames[verdict.frames["session_id"] == "walk_1"]
+    assert of_walk["travelled"].max() == pytest.approx(np.linalg.norm(np.diff(walk, axis=0), axis=1).sum())
+
+
+def test_what_is_needed_is_said_as_a_count() -> None:
+    """49.8 % isn't "50 %, but 50 % are needed"."""
+    checks = pd.DataFrame({"check": [], "status": [], "reason": []})
+    state, why = state_of(checks, pd.Series(["A"] * 100 + ["C"] * 101))
+    assert state == "undecided" and why.endswith("but: 101 of 201 are needed")
+
+
 def test_a_refused_capture_says_why_and_what_to_do(make_run: MakeRun) -> None:
     data = make_run(simulated=False, Yard={"train": 12, "test": 8})
     run = data.run("tiny", "Yard")
@@ -174,6 +201,12 @@ def test_a_simulated_scene_has_stated_beside_true(make_run: MakeRun) -> None:
     assert errors["position"] == pytest.approx(expected, rel=0.1) and errors["position_stated"] == pytest.approx(0.02)
     assert 88 < errors["position_within"] <= 100 and errors["scale"] < 0.1 and errors["vertical_deg"] < 0.1
     assert "Stated against true" in page and "ground truth from the truth (m)" in page
+    # Without a vertical its axes mean nothing, which only heading and origin are fitted of.
+    rewrite(data, "Yard", "align", "ground_truth", stated.assign(vertical_source="none"))
+    align = data.run("tiny", "Yard", "align")
+    note_outputs(align, figures=load_manifest(align)["figures"] | {"vertical_sd_deg": None})
+    page, verdict = judged(data, "Yard")
+    assert verdict["true_errors"] is None and "Stated against true" not in page
 
 
 def test_page_tables_terminal_summary_and_errors_agree_on_who_has_a_pose(
@@ -208,7 +241,7 @@ def test_page_tables_terminal_summary_and_errors_agree_on_who_has_a_pose(
             assert f"Yard: {name}: median {headline[name][1]} m" in said and f"{coverage:.1f} % have a pose" in said
             assert f"{method}, {model}" in summary
             line = next(line for line in summary.splitlines() if line.startswith(f"{method}, {model} "))
-            assert f"median {median:.2f} m" in line and f"{answered} of {frames} test frames have a pose" in line
+            assert f"median {headline[name][1]} m" in line and f"{answered} of {frames} test frames have a pose" in line
     closing = list(closing_lines(read_json(folder / "verdict.json")))
     subjects = ["ground truth", "VIO", "best structure localiser", "best regressor"]
     assert [line.split(":")[0] for line in closing] == subjects
