@@ -108,8 +108,8 @@ def error_distributions(scene: SceneInputs) -> Named:
             alone = shown[shown["model"] == model].drop_duplicates("frame_id")
             _cumulative(ax, alone, f"raw_{quantity}_{unit}", colours[model], "--" if scene.fuses else "-")
             if scene.fuses:
-                fused_errors = scene.frame_errors(model, scene.best(model))
-                _cumulative(ax, fused_errors, f"live_{quantity}_{unit}", colours[model], "-")
+                fused = shown[(shown["model"] == model) & (shown["method"] == scene.best(model))]
+                _cumulative(ax, fused, f"live_{quantity}_{unit}", colours[model], "-")
         ax.set(xscale="log", ylim=(0, 102), ylabel="frames within (%)")
         ax.set_xlabel(f"{quantity} error ({scene.unit.symbol if unit == 'm' else '°'})")
         style.log_axis(ax.xaxis)
@@ -118,11 +118,13 @@ def error_distributions(scene: SceneInputs) -> Named:
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7.5)
     caption = f"{scene.name}: share of test frames within an error; a frame without a pose counts as failed."
     if scene.fuses:
-        fused = ", ".join(scene.label(m) + scene.method_labels.get(scene.best(m) or "", "") for m in scene.models)
+        names = ", ".join(scene.label(m) + scene.method_labels.get(scene.best(m) or "", "") for m in scene.models)
         which = "all frames with VIO" if scene.unfused_sessions else "all frames"
         over = "the same" if scene.unfused_sessions else "all test frames"
-        caption += f" Dashed: alone, over {over}; solid: {fused} in time, {which}."
-    return "error-distribution", caption + " Dotted: the accuracy levels.", figure
+        caption += f" Dashed: alone, over {over}; solid: {names} in time, {which}."
+    if scene.unit is MapUnit.METRE:
+        caption += " Dotted: the accuracy levels."
+    return "error-distribution", caption, figure
 
 
 def _cumulative(ax: Axes, errors: pd.DataFrame, column: str, colour: str, dashes: str) -> None:
