@@ -63,10 +63,14 @@ def _cells(run: RunFiles) -> list[str]:
 
 def _state(run: RunFiles) -> str:
     """The verdict, and how far the run has come."""
-    parts = [str(run.verdict.get("verdict", "no verdict yet"))]
+    scene = [*run.manifests.values()][-1]["scene"] if run.manifests else {}
+    is_group = scene.get("members") and "report" in run.finished
+    parts = [
+        str(run.verdict.get("verdict", "a group: its page has its scenes' verdicts" if is_group else "no verdict yet"))
+    ]
     if run.stopped:
         parts.append(f"stopped at {run.stopped}")
-    elif {*STAGES} - {*run.finished}:
+    elif {*(scene.get("stages") or STAGES)} - {*run.finished}:
         parts.append(f"up to {run.finished[-1]}")
     return "; ".join([*parts, *([f"outdated: {', '.join(run.outdated)}"] if run.outdated else [])])
 

@@ -9,9 +9,10 @@ import pytest
 from groundwalk.reports.definition import STAGE
 from groundwalk.reports.runs_index import write_index
 from groundwalk.store.files import read_json, write_json
+from groundwalk.store.manifests import load_manifest
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.stage import execute
-from tests.reports.made_up_scenes import rows_of
+from tests.reports.made_up_scenes import rows_of, write_stage
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -36,3 +37,15 @@ def test_each_run_stands_with_its_state_and_figures(make_run: Callable[..., Data
     assert rows["Wood, tiny"][0] == "no verdict yet; up to fuse"
     for file in ("page.html", "thumbnail.jpg"):
         assert f'"tiny/Yard/report/{file}"' in page and (data.root / "runs" / "tiny/Yard/report" / file).is_file()
+
+
+def test_a_finished_group_has_the_verdicts_on_its_page(make_run: Callable[..., DataRoot]) -> None:
+    data = make_run(group="both", Yard={"train": 12, "test": 8}, Lane={"train": 12, "test": 8})
+    write_stage(data, "both", "report", {}, True)
+    report = data.run("tiny", "both", "report")
+    scene = {"name": "both", "members": ["Yard", "Lane"], "stages": ["train", "fuse", "report"]}
+    write_json(report / "manifest.json", load_manifest(report) | {"scene": scene})
+    write_index(data)
+    states = {row[0]: row[1] for row in rows_of(data.root / "runs", "runs", "index.html")}
+    assert states["both, tiny"] == "a group: its page has its scenes' verdicts"
+    assert states["Yard, tiny"] == "no verdict yet; up to fuse"
