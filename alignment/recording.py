@@ -94,9 +94,10 @@ def log_sessions(rec: rr.RecordingStream, fits: Sequence[SessionFit], frames: pd
     for fit in fits:
         s = fit.segment
         colour = _SESSION_COLOURS[sessions.index(s.session_id) % len(_SESSION_COLOURS)]
-        name = f"{s.session_id}-{s.index + 1}" if s.index else s.session_id
+        # Below the session's path, as its name with something behind it may be another session's.
+        name = f"{s.session_id}/after_jump_{s.index}" if s.index else s.session_id
         if s.component:
-            name += f"-model-{s.component}"
+            name += f"/model_{s.component}"
         map_T_cam = fit.map_T_cam.copy()
         map_T_cam[~fit.has_ground_truth] = np.nan
         log_path(rec, f"map/ground_truth/{name}/path", map_T_cam[:, :3, 3], GROUND_TRUTH)
