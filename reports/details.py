@@ -76,6 +76,8 @@ def headline(scene: SceneInputs, found: list[LocaliserErrors]) -> Grid | None:
     sd, joint = truth["position_sd_m"].median(), truth["frame_id"].isin(registered).sum()
     chosen = scene.validation[scene.validation["model"].isin([model for model in scene.models if scene.ahead(model)])]
     how = f" Methods were chosen by {chosen['frames'].max():.0f} frames held out of training." if len(chosen) else ""
+    if alone := [scene.label(model) for model in scene.models if scene.ahead(model) in scene.raw_methods]:
+        how += f" On these no fusion is ahead of {' and '.join(alone)} alone."
     fused = f"{len(truth)} test frames of sessions in which something is fused, of "
     over = fused * (len(truth) < scene.scored_frames) + f"{scene.scored_frames} test frames with ground truth"
     caption = (

@@ -558,6 +558,7 @@ def test_the_headline_has_what_is_ahead_on_held_out_frames_and_by_how_many(
     names = [row[0] for row in rows_of(data.run("tiny", "Bar", "report"), "headline-Bar")]
     assert [name for name in names if name.startswith("PN")] == headline
     assert "Methods were chosen by 4 frames held out of training" in page
+    assert ("On these no fusion is ahead of PN and MS-T alone" in page) == (ahead == "raw")
 
 
 @pytest.mark.usefixtures("no_figures")
