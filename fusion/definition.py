@@ -32,7 +32,7 @@ class FuseSettings(Settings):
 
 STAGE = Stage(
     name="fuse",
-    version=35,
+    version=36,
     settings=FuseSettings,
     needs=("import", "align", "localise", "train"),
     run=Lazy("groundwalk.fusion.stage:run"),

@@ -13,7 +13,7 @@ class ReportSettings(Settings):
 
 STAGE = Stage(
     name="report",
-    version=24,
+    version=25,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import",),

@@ -7,7 +7,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="sfm",
-    version=58,
+    version=59,
     settings=SfmSettings,
     needs=("import",),
     run=Lazy("groundwalk.sfm.stage:run"),

@@ -8,7 +8,7 @@ from groundwalk.training.settings import TrainSettings
 
 STAGE = Stage(
     name="train",
-    version=19,
+    version=20,
     settings=TrainSettings,
     needs=("import", "align"),
     run=Lazy("groundwalk.training.stage:run"),
