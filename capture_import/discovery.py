@@ -260,6 +260,8 @@ def _refuse_odd_name(root: Path, path: Path) -> None:
 def _plain(name: str) -> str:
     """`name` with everything replaced that could not be part of an id, and cut where files couldn't be named by it."""
     plain = "".join(c if c.isalnum() or c in "-_." else "_" for c in name).strip(".") or "capture"
+    if plain == "all":  # in align.drift that is all sessions together
+        return "all_"
     if len(plain.encode()) <= _MAX_ID_BYTES:
         return plain
     digest = hashlib.sha256(name.encode(errors="surrogateescape")).hexdigest()[:8]

@@ -158,6 +158,11 @@ def test_a_session_of_a_long_name_is_imported(tmp_path: Path, place: Path, name:
     assert len(sessions) == 2 and max(len(session.encode()) for session in sessions) <= 120
 
 
+def test_no_session_is_called_as_all_of_them_together(tmp_path: Path, place: Path) -> None:
+    WRITERS["frames_jsonl"].write(place / "all", make_walk(4))
+    assert set(imported(tmp_path, "check_convention=false")["frames"]["session_id"]) == {"all_"}
+
+
 @pytest.mark.parametrize(
     ("key", "value", "reason"),
     [
