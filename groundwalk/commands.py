@@ -1,5 +1,6 @@
 """The commands that aren't one package's: `judge`, `run`, `compare` and `scenes`."""
 
+import math
 import os
 import re
 import shutil
@@ -178,10 +179,12 @@ def compare(
     from groundwalk.reports.comparison import comparison_page, differences, lost_scale, missing, why_no_positions
 
     try:
-        limit = float(fail_if_worse.removesuffix("%")) if fail_if_worse else None
+        limit = float(fail_if_worse.removesuffix("%")) if fail_if_worse else 0.0
     except ValueError:
+        limit = math.nan
+    if not 0 <= limit < math.inf:
         expected = "a number, as in --fail-if-worse 5%"
-        raise UserError("this is no percentage", found=fail_if_worse, expected=expected) from None
+        raise UserError("this is no percentage", found=fail_if_worse, expected=expected)
     if len(runs) < 2:
         raise UserError("one run can't be compared", found=runs[0], do="name two runs or more")
     # Folders without the folder that all are in.
@@ -216,7 +219,7 @@ def compare(
     progress.stdout.print(f"{same} of {len(found)} figures don't differ by more than noise")
     progress.stdout.print(str(out))
     is_less = lost or any(lost_scale(first, other) for other in others)
-    if limit is not None and (is_less or any(difference.is_worse_by(limit) for difference in found)):
+    if fail_if_worse and (is_less or any(difference.is_worse_by(limit) for difference in found)):
         raise typer.Exit(1)
 
 

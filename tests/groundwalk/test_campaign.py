@@ -61,7 +61,7 @@ def test_a_scene_has_one_folder_of_captures(tmp_path: Path) -> None:
     assert "other captures above, walks/one" in problems["demo/one"]
 
 
-@pytest.mark.parametrize("content", ["place\nChurch\n", "", "scene,note\nChurch,x\n", b"\xff\xfe"])
+@pytest.mark.parametrize("content", ["place\nChurch\n", "", "scene\n", "scene,note\nChurch,x\n", b"\xff\xfe"])
 def test_what_is_no_table_of_scenes_is_refused(tmp_path: Path, content: str | bytes) -> None:
     table = tmp_path / "scenes.csv"
     table.write_bytes(content if isinstance(content, bytes) else content.encode())

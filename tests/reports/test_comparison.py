@@ -179,6 +179,7 @@ def test_the_command_writes_a_page_and_fails_where_it_is_asked_to(
     status, printed = compare("--fail-if-worse", "5%")
     assert status == 1 and "worse: " in printed and "PN, alone: median position" in printed
     assert compare()[0] == 0 and compare("--fail-if-worse", "60%")[0] == 0
+    assert compare("--fail-if-worse", "nan")[0] == 2
     figures = {tuple(row[1:3]): row for row in rows_of(tmp_path, "figures", "c.html")}
     assert figures["PN, alone", "median position (m)"][3] == "worse"
     assert figures["PN, alone", "median position (m)"][7] == "+50.0"
