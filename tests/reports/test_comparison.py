@@ -157,6 +157,11 @@ def test_the_command_fails_on_what_is_missing_and_says_what(make_run: Callable[.
         compare("Yard", other("captures", lambda t: t.assign(frame_id="x" + t["frame_id"])))
 
 
+def test_a_limit_that_no_figure_could_be_beyond_is_refused() -> None:
+    done = CliRunner().invoke(commands.app, ["compare", "Yard", "Barn", "--fail-if-worse", "nan"])
+    assert isinstance(done.exception, UserError) and "no percentage" in str(done.exception)
+
+
 def test_the_command_writes_a_page_and_fails_where_it_is_asked_to(
     make_run: Callable[..., DataRoot], tmp_path: Path
 ) -> None:
@@ -179,7 +184,6 @@ def test_the_command_writes_a_page_and_fails_where_it_is_asked_to(
     status, printed = compare("--fail-if-worse", "5%")
     assert status == 1 and "worse: " in printed and "PN, alone: median position" in printed
     assert compare()[0] == 0 and compare("--fail-if-worse", "60%")[0] == 0
-    assert compare("--fail-if-worse", "nan")[0] == 2
     figures = {tuple(row[1:3]): row for row in rows_of(tmp_path, "figures", "c.html")}
     assert figures["PN, alone", "median position (m)"][3] == "worse"
     assert figures["PN, alone", "median position (m)"][7] == "+50.0"
