@@ -46,14 +46,14 @@ _NUMBA_CONFIG = ".numba_config.yaml"
 
 
 class _Command(TyperCommand):
-    """A command that refuses an option given twice, of which the last would count, and an empty path, which would be
-    the current folder; and finds ~ where shells leave it alone: in --data=~/here."""
+    """A command that refuses two scenes, or captures, of which the last would count as of other options, and an empty
+    path, which would be the current folder; and finds ~ where shells leave it alone: in --data=~/here."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         values, _, given = self.make_parser(ctx).parse_args(args=[*args])
         for param in given:
-            if given.count(param) > 1 and not (getattr(param, "multiple", False) or getattr(param, "is_flag", False)):
-                raise UserError(f"{param.opts[0]} was given twice", do="give it once, or run the command once for each")
+            if given.count(param) > 1 and param.name in ("scene", "captures"):
+                raise UserError(f"{param.opts[0]} was given twice", do="run the command once for each")
         rest = super().parse_args(ctx, args)
         for name, value in ctx.params.items():
             if isinstance(value, Path):
