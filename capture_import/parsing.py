@@ -159,13 +159,11 @@ def _encoding(path: Path) -> str:
 
 def first_bytes(path: Path, count: int = 1 << 16) -> bytes:
     """The beginning of a file, text as UTF-8; nothing where it's no ordinary file or can't be read."""
-    try:
-        if not path.is_file():
-            return b""
-        with path.open("rb") as file:
-            start = file.read(count)
-    except OSError:
-        return b""
+    start = b""
+    with suppress(OSError):
+        if path.is_file():
+            with path.open("rb") as file:
+                start = file.read(count)
     return start.decode("utf-16", "ignore").encode() if encoding_of(start) == "utf-16" else start
 
 
@@ -181,24 +179,23 @@ def lines_of(path: Path, limits: Limits, is_row: Callable[[str], bool] = lambda 
         size += sys.getsizeof(line)
         if len(rows) > limits.max_rows or size > limits.max_parsed_bytes:
             found = f"more than {limits.max_rows} rows, or {limits.max_parsed_bytes >> 20} MiB of them"
-            raise _unreadable(path, found)
+            raise UserError("a log can't be read", where=path, found=found)
     return rows
 
 
 def numbered_lines(path: Path, limits: Limits) -> Iterator[tuple[int, str]]:
     """All lines of a text file, numbered from 1, one in memory at a time. UserError where it can't be read, or where
     the file or a line is larger than the limits."""
-    try:
-        _refuse_odd_file(path, limits.max_text_bytes)
-        with path.open(encoding=_encoding(path), errors="replace") as file:
-            for number, line in enumerate(iter(lambda: file.readline(_MAX_LINE + 1), ""), start=1):
-                if len(line) > _MAX_LINE:
-                    raise BadRow(f"line {number} is longer than {_MAX_LINE} characters")
-                yield number, line.removesuffix("\n")
-    except BadRow as error:
-        raise _unreadable(path, error) from None
-    except OSError as error:
-        raise _unreadable(path, f"file can't be read: {error.strerror}") from None
+    with refused("a log can't be read", path):
+        try:
+            _refuse_odd_file(path, limits.max_text_bytes)
+            with path.open(encoding=_encoding(path), errors="replace") as file:
+                for number, line in enumerate(iter(lambda: file.readline(_MAX_LINE + 1), ""), start=1):
+                    if len(line) > _MAX_LINE:
+                        raise BadRow(f"line {number} is longer than {_MAX_LINE} characters")
+                    yield number, line.removesuffix("\n")
+        except OSError as error:
+            raise BadRow(f"file can't be read: {error.strerror}") from None
 
 
 def json_of(path: Path, limits: Limits) -> dict[str, Any]:
@@ -398,10 +395,6 @@ def _refuse_odd_file(path: Path, max_bytes: int) -> None:
         raise BadRow("no ordinary file")
     if status.st_size > max_bytes:
         raise BadRow(f"file has {status.st_size} bytes, more than the limit of {max_bytes}")
-
-
-def _unreadable(path: Path, found: object) -> UserError:
-    return UserError("a log can't be read", where=path, found=found)
 
 
 def is_image(path: Path) -> bool:
