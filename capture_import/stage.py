@@ -78,8 +78,7 @@ def run(r: StageRun[ImportSettings]) -> None:
             selection = selection_of[session.session_id]
             if not selection.images:
                 continue
-            copies = settings.images == "copy"
-            where = Placement(root, r.work, session.session_id, copies, reader)
+            where = Placement(root, r.work, session, settings.images == "copy", reader)
             places = place_images(selection.images, where, blurring, quarters_to_upright(session))
             regions_of |= {
                 session.frame_id(image.number): (image.source, place.regions)

@@ -36,7 +36,7 @@ def check_image(data: bytes, max_megapixels: float) -> ImageCheck:
     Raises BadImage for one that is empty, no JPEG, PNG or HEIC, larger than the limit, truncated or corrupt.
     """
     width, height = image_size(data, max_megapixels)
-    gray = decode_gray(data, WORKING_LONG_SIDE)
+    gray = decode_gray(data)
     whole, content = hashlib.sha256(data).hexdigest(), without_metadata(data)
     return measured(gray, width, height, whole, whole if content == data else hashlib.sha256(content).hexdigest())
 
@@ -86,9 +86,9 @@ def decode_rgb(data: bytes, long_side: int) -> NDArray[np.uint8]:
     return _decode(data, "RGB", long_side)
 
 
-def decode_gray(data: bytes, long_side: int) -> Gray:
-    """An image (H, W), scaled down to the long side where it's larger."""
-    return _decode(data, "GRAY", long_side)
+def decode_gray(data: bytes) -> Gray:
+    """An image (H, W), scaled down to the working size where it's larger."""
+    return _decode(data, "GRAY", WORKING_LONG_SIDE)
 
 
 def _decode(data: bytes, colours: str, long_side: int) -> Any:

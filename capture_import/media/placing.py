@@ -11,7 +11,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import Image, ImageFile, VideoFrame
+from groundwalk.capture_import.capture import Image, ImageFile, Session, VideoFrame
 from groundwalk.capture_import.media.blurring import Blurring, Region, blurred
 from groundwalk.capture_import.media.images import decode_rgb, encode_jpeg, is_heic, turned_pixels
 from groundwalk.capture_import.media.reading import ImageReader, video_of
@@ -30,7 +30,7 @@ class Placement:
 
     root: Path
     work: Path
-    session_id: str
+    session: Session
     copies: bool
     reader: ImageReader
 
@@ -40,7 +40,7 @@ class Placement:
 
     def write(self, data: bytes, kind: str, number: int, suffix: str) -> str:
         """Write a frame's file into the artefact; returns its entry."""
-        target = self.work / kind / self.session_id / f"{number:06d}{suffix}"
+        target = self.work / kind / f"{self.session.frame_id(number)}{suffix}"
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(data)
         return f"import:{target.relative_to(self.work).as_posix()}"
@@ -62,12 +62,9 @@ def place_images(images: Sequence[Image], where: Placement, blurring: Blurring, 
     to be blurred, by detectors in images that `to_upright` quarter turns clockwise put upright.
     """
 
-    def frame_id(image: Image) -> str:
-        return f"{where.session_id}/{image.number:06d}"
-
     def rendered(image: Image, rgb: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], list[Region] | None]:
         rgb = turned_pixels(rgb, image.quarters)
-        regions = blurring.regions(frame_id(image), rgb, to_upright)
+        regions = blurring.regions(where.session.frame_id(image.number), rgb, to_upright)
         return (blurred(rgb, regions) if regions else rgb), regions
 
     def placed(entry: str, sha256: str, regions: list[Region] | None) -> Placed:
@@ -87,7 +84,7 @@ def place_images(images: Sequence[Image], where: Placement, blurring: Blurring, 
         regions: list[Region] | None = None
         with ref.path.open("rb") as file:
             is_changed = image.quarters or is_heic(file.read(12))
-        if is_changed or blurring.looks_at(frame_id(image)):
+        if is_changed or blurring.looks_at(where.session.frame_id(image.number)):
             rgb, regions = rendered(image, decode_rgb(ref.path.read_bytes(), long_side=2**31))
             if is_changed or regions:
                 return written(image, encode_jpeg(rgb), ".jpg", regions)
@@ -95,7 +92,7 @@ def place_images(images: Sequence[Image], where: Placement, blurring: Blurring, 
             return placed(ref.path.relative_to(where.root).as_posix(), image.check.sha256, regions)
         return written(image, without_metadata(ref.path.read_bytes()), ref.path.suffix.lower(), regions)
 
-    text = f"{where.session_id}: {'placing images' if blurring.detect is None else 'blurring faces'}"
+    text = f"{where.session.session_id}: {'placing images' if blurring.detect is None else 'blurring faces'}"
     video = video_of(images)
     if video is None:
         return list(track(in_parallel(of_file, images), text, len(images)))

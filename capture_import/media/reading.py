@@ -52,7 +52,7 @@ class ImageReader:
     def gray(self, frames: Sequence[Frame], long_side: int) -> Iterator[tuple[Frame, Gray]]:
         """Frames that have passed the check, in order, each with its image (H, W) scaled down to the long side. A
         damaged video may not give a frame again."""
-        return self._pictures(frames, long_side, _working_gray, lambda data: decode_gray(data, WORKING_LONG_SIDE))
+        return self._pictures(frames, long_side, _working_gray, decode_gray)
 
     def rgb(self, frames: Sequence[Frame], long_side: int) -> Iterator[tuple[Frame, Gray]]:
         """As `gray`, in colour (H, W, 3)."""
@@ -113,8 +113,10 @@ class ImageReader:
                 at, image = decoded
                 gray = _working_gray(image)
                 if before is not None and before.shape == gray.shape:
-                    # A pan or a shaking hand changes much in each image, a cut in one (as in FFmpeg's scdet).
-                    changes.append(_change(before, gray))
+                    # A pan or a shaking hand changes much in each image, a cut in one (as in FFmpeg's scdet); what all
+                    # pixels have in common, as when a lamp is turned on, is no change.
+                    difference = cv2.subtract(gray, before, dtype=cv2.CV_32F)
+                    changes.append(float(np.abs(difference - difference.mean()).mean()))
                     part += len(changes) == _CUT_IMAGES and changes[-1] > max(list(changes)[:-1]) + _CUT_CHANGE
                 before = gray
                 # A frame has no file to hash until it's written.
@@ -123,13 +125,6 @@ class ImageReader:
                 yield check
             else:
                 yield "video frame is missing or out of order" if at > ref.index else "video ends before this frame"
-
-
-def _change(before: Gray, gray: Gray) -> float:
-    """The mean change of brightness from one image (H, W) to another, but for what all pixels have in common, as when a
-    lamp is turned on."""
-    difference = cv2.subtract(gray, before, dtype=cv2.CV_32F)
-    return float(np.abs(difference - difference.mean()).mean())
 
 
 def video_of(frames: Iterable[RawFrame]) -> Path | None:
