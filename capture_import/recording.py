@@ -33,27 +33,26 @@ _BY_NAME = "image_by_name"
 
 def blueprint(session_ids: Sequence[str]) -> rrb.Blueprint:
     """A tab a session: its path and cameras, the image at the time cursor, speed and sharpness, rejects."""
+    tabs = [
+        rrb.Horizontal(
+            rrb.Spatial3DView(origin=f"/{session_id}", name="path and cameras"),
+            rrb.Vertical(
+                rrb.Spatial2DView(origin=f"images/{session_id}", name="image"),
+                rrb.TimeSeriesView(origin=f"/{session_id}/speed", name="speed, m/s"),
+                rrb.TimeSeriesView(origin=f"/{session_id}/sharpness", name="sharpness"),
+                rrb.TextLogView(origin=f"/{session_id}/log", name="rejects and jumps"),
+                row_shares=[3, 1.5, 1.5, 1.5],
+            ),
+            column_shares=[3, 2],
+            name=session_id,
+        )
+        for session_id in session_ids
+    ]
     return rrb.Blueprint(
-        rrb.Tabs(*[_session_view(session_id) for session_id in session_ids], name="sessions"),
+        rrb.Tabs(*tabs, name="sessions"),
         rrb.TimePanel(state="collapsed"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="collapsed"),
-    )
-
-
-def _session_view(session_id: str) -> rrb.Container:
-    at = f"/{session_id}"
-    return rrb.Horizontal(
-        rrb.Spatial3DView(origin=at, name="path and cameras"),
-        rrb.Vertical(
-            rrb.Spatial2DView(origin=f"images/{session_id}", name="image"),
-            rrb.TimeSeriesView(origin=f"{at}/speed", name="speed, m/s"),
-            rrb.TimeSeriesView(origin=f"{at}/sharpness", name="sharpness"),
-            rrb.TextLogView(origin=f"{at}/log", name="rejects and jumps"),
-            row_shares=[3, 1.5, 1.5, 1.5],
-        ),
-        column_shares=[3, 2],
-        name=session_id,
     )
 
 

@@ -54,9 +54,8 @@ def no_capture(root: Path, formats: Sequence[Format], chosen: Format | None, oth
     if logs:
         do = (
             "if its poses are the phone's own (VIO), write frames.jsonl from it, in a few lines: "
-            "docs/reference/capture-formats.md (from another app's log); of SfM, export a COLMAP model"
+            f"docs/reference/capture-formats.md (from another app's log); of SfM, export a COLMAP model{alone}"
         )
-        do += alone
     elif images:
         do = "photos are read from three on, and others in a format that is recognised: " + list_them
     else:
@@ -71,9 +70,8 @@ def are_images_alone(root: Path, unpacked: Path, formats: Sequence[Format]) -> b
     if _around(root, formats):
         return False
     folders = [path for top in (root, unpacked) for path in (top, *top.rglob("*")) if path.is_dir()]
-    return not any(_nearest(folder, formats) for folder in (root, unpacked) if folder.is_dir()) and not any(
-        True for folder in folders for _ in _unknown_logs(folder)
-    )
+    partly = any(_nearest(folder, formats) for folder in (root, unpacked) if folder.is_dir())
+    return not partly and not any(any(_unknown_logs(folder)) for folder in folders)
 
 
 def _around(root: Path, formats: Iterable[Format]) -> list[Path]:

@@ -116,16 +116,15 @@ def nearest_split(frames: pd.DataFrame, split_frames: pd.DataFrame) -> NDArray[n
 
 def leak_seconds(frames: pd.DataFrame, split: NDArray[np.object_]) -> float | None:
     """The shortest time between a test and a training frame of a recording with times; None where none has both."""
-    shortest = None
+    gaps = list[float]()
     timed = have_times(frames)
     frames, split = frames[timed], split[timed]
     for rows in frames.groupby("recording", sort=True).indices.values():
         t_s = frames["t_ns"].to_numpy()[rows] * 1e-9
         train, test = t_s[split[rows] == "train"], t_s[split[rows] == "test"]
         if len(train) and len(test):
-            gap = float(np.abs(np.subtract.outer(test, train)).min())
-            shortest = gap if shortest is None else min(gap, shortest)
-    return shortest
+            gaps.append(float(np.abs(np.subtract.outer(test, train)).min()))
+    return min(gaps, default=None)
 
 
 def _listed(frames: pd.DataFrame, rules: SplitRules) -> NDArray[np.object_]:

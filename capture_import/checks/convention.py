@@ -131,9 +131,8 @@ def _matched_pairs(session: Session, reader: ImageReader) -> list[_MatchedPair]:
         matches = match_features(features_a[1], features_b[1])
         if len(matches) >= _MIN_MATCHES:
             points = features_a[0][matches[:, 0]], features_b[0][matches[:, 1]]
-            cameras = _camera(session.images[a]), _camera(session.images[b])
-            lenses = session.images[a].camera.distortion, session.images[b].camera.distortion
-            matched.append(_MatchedPair(points, cameras, lenses))
+            lenses = frames[a].camera.distortion, frames[b].camera.distortion
+            matched.append(_MatchedPair(points, (_camera(frames[a]), _camera(frames[b])), lenses))
     return matched
 
 

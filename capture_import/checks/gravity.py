@@ -5,17 +5,15 @@ axes exactly along its world's, unless the world is its first camera's. And most
 three directions at right angles, one of them vertical.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundwalk.capture_import.capture import Image, Session
-from groundwalk.capture_import.media.images import Gray
+from groundwalk.capture_import.capture import Session
 from groundwalk.capture_import.media.reading import ImageReader
 from groundwalk.features.lines import LONG_SIDE, MIN_LINES, planes_of_lines
 from groundwalk.geometry.cameras import Camera
-from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
 from groundwalk.geometry.vanishing import line_axes
 from groundwalk.store.choices import PoseSource, UpSource
@@ -28,7 +26,6 @@ _EXACT = 1e-4
 # A walk's own accelerations average out within seconds, and odometry and accelerometer agree on the vertical within a
 # degree or two. Forces that share no direction are of other axes, or without gravity.
 _MIN_FORCES, _MIN_SHARED, _MAX_TILT_DEG = 100, 0.8, 5.0
-
 
 STATE_GRAVITY = (
     "the map gets a vertical from other recordings or none; export poses in the app's gravity-aligned world, or, where "
@@ -111,7 +108,12 @@ def _by_lines(session: Session, reader: ImageReader) -> GravityCheck | None:
     if len(session.images) < _MIN_IMAGES:
         return None
     images = [session.images[i] for i in evenly(len(session.images), _MAX_IMAGES)]
-    lines = list(_planes_of_lines(reader.gray(images, LONG_SIDE)))
+    lines = []
+    for image, gray in reader.gray(images, LONG_SIDE):
+        assert image.vio_T_cam is not None  # a sound image has one
+        k, check = image.camera, image.check
+        camera = Camera(check.width, check.height, k.fx, k.fy, k.cx, k.cy, k.distortion)
+        lines.append(planes_of_lines(gray, camera, image.vio_T_cam[:3, :3]))
     if sum(len(lengths) for _, lengths in lines) < MIN_LINES:
         return None
     normals, lengths = (np.concatenate(part) for part in zip(*lines, strict=True))
@@ -123,11 +125,3 @@ def _by_lines(session: Session, reader: ImageReader) -> GravityCheck | None:
         f"{len(lines)} images; the best others, {np.degrees(axes.tilt):.0f}° off, {axes.tilted:.0%}"
     )
     return GravityCheck(axes.is_up, UpSource.LINES, text)
-
-
-def _planes_of_lines(views: Iterable[tuple[Image, Gray]]) -> Iterator[tuple[Array, Array]]:
-    for image, gray in views:
-        assert image.vio_T_cam is not None  # a sound image has one
-        k, check = image.camera, image.check
-        camera = Camera(check.width, check.height, k.fx, k.fy, k.cx, k.cy, k.distortion)
-        yield planes_of_lines(gray, camera, image.vio_T_cam[:3, :3])

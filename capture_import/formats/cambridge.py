@@ -35,11 +35,10 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, limits: Limits) -> Recording:
     rows: list[tuple[str, tuple[SessionSplit, str]]] = []
-    for file, split in ((path.parent / name, split) for name, split in _LISTS.items()):
-        of_split = (
-            parsing.lines_of(file, limits, lambda line: line.startswith(f"{path.name}/")) if file.is_file() else []
-        )
-        rows += [(source, (split, line)) for source, line in of_split]
+    for name, split in _LISTS.items():
+        if (file := path.parent / name).is_file():
+            lines = parsing.lines_of(file, limits, lambda line: line.startswith(f"{path.name}/"))
+            rows += [(source, (split, line)) for source, line in lines]
     focal = _focal_lengths(path.parent / "reconstruction.nvm", path.name, limits)
     cameras = _intrinsics(path.parent / "frames.csv", path.name, limits)
 

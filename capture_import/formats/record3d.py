@@ -65,8 +65,8 @@ def _intrinsics(content: dict[str, Any], index: int) -> Intrinsics:
     per_frame = content.get("perFrameIntrinsicCoeffs")
     if isinstance(per_frame, list) and index < len(per_frame):
         fx, fy, cx, cy = parsing.to_numbers(per_frame[index], "row", 4).tolist()
-        return Intrinsics(fx, fy, cx, cy, width, height)
-    fx, _, _, _, fy, _, cx, cy, _ = parsing.numbers(content, "K", 9)
+    else:
+        fx, _, _, _, fy, _, cx, cy, _ = parsing.numbers(content, "K", 9)
     return Intrinsics(fx, fy, cx, cy, width, height)
 
 
