@@ -154,8 +154,7 @@ def write_hloc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
     position, quaternion = tq_from_pose(inverse(dataset.map_T_cam))
     for row in dataset.rows_of(queries):
         cameras.append(" ".join([names[row], *camera_fields(all_cameras[row])]))
-        x, y, z, w = quaternion[row]
-        poses.append(f"{names[row]} {numbers(w, x, y, z, *position[row])}")
+        poses.append(f"{names[row]} {numbers(*np.roll(quaternion[row], 1), *position[row])}")
     write_lines(folder / "queries_with_intrinsics.txt", cameras)
     write_lines(folder / "queries_poses.txt", poses)
     of_largest = dataset.frames["frame_id"].isin(largest.frame_ids)
@@ -181,8 +180,7 @@ def write_kapture(dataset: Dataset, folder: Path, images: Images) -> list[str]:
             # Frames share a camera where focus and lens stayed the same; merges keep one camera of an id.
             unused = f"{name}-{quote(session_id, safe='')}-{len(sensors)}"
             device = sensors.setdefault(f"{session_id}\n{cameras[row]}", unused)
-            x, y, z, w = quaternion[row]
-            poses.append(f"{row}, {device}, {numbers(w, x, y, z, *position[row], separator=', ')}")
+            poses.append(f"{row}, {device}, {numbers(*np.roll(quaternion[row], 1), *position[row], separator=', ')}")
             records.append(f"{row}, {device}, {names[row]}")
             placed[row] = f"{name}/sensors/records_data/{names[row]}"
             dataset.images[row].place(folder / placed[row], images)

@@ -64,11 +64,9 @@ def write_huggingface(dataset: Dataset, folder: Path, images: Images) -> list[st
     table = dataset.frames.assign(position=list(position), quaternion=list(quaternion))
     table["covariance"] = [[] if c is None else list(c) for c in table["covariance"]]
     columns = pa.Table.from_pandas(table[list(COLUMNS)], preserve_index=False)
+    fields = columns.schema.remove_metadata()
     if images != "none":
-        image = pa.field("image", pa.struct([("bytes", pa.binary()), ("path", pa.string())]))
-        fields = pa.schema([*columns.schema.remove_metadata(), image])
-    else:
-        fields = columns.schema.remove_metadata()
+        fields = fields.append(pa.field("image", pa.struct([("bytes", pa.binary()), ("path", pa.string())])))
     features = {"info": {"features": {field.name: _feature(field) for field in fields}}}
     fields = fields.with_metadata({"huggingface": json.dumps(features)})
     placed, files = [""] * len(table), dict[str, int]()

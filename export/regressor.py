@@ -109,10 +109,10 @@ def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> 
     aligned, _ = read_finished(data, profile, scene, "align", train)
     frames = dataset_frames(read_table(imported / "frames.parquet", schema("import", "frames")))
     truth = read_table(aligned / "ground_truth.parquet", schema("align", "ground_truth"))
-    poses = [str(c) for c in truth if str(c).startswith("map_cam_")]
     logged, is_guess = frames["fx"].to_numpy(), (frames["focal_sd"] >= GUESS_SD).to_numpy()
     frames = with_gravity_of_map(frames, truth)
-    frames = with_cameras(frames, truth).merge(truth[["frame_id", *poses]], on="frame_id", validate="1:1")
+    poses = ["frame_id", *pose_columns("map_cam")]
+    frames = with_cameras(frames, truth).merge(truth[poses], on="frame_id", validate="1:1")
     # Nobody will state import's guess of a photo without one: who asks knows it, or takes what sfm found.
     stated = np.where(is_guess, frames["fx"], logged)
     captures = data.captures(scene)

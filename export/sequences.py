@@ -69,9 +69,8 @@ def write_euroc(dataset: Dataset, folder: Path, images: Images) -> list[str]:
         listed, poses = ["#timestamp [ns],filename"], [_POSES.format(map_unit(dataset.frames).symbol)]
         for row in rows:
             t_ns = dataset.frames["t_ns"].iloc[row]
-            x, y, z, w = quaternion[row]
             listed.append(f"{t_ns},{t_ns}.png")
-            poses.append(f"{t_ns},{numbers(*position[row], w, x, y, z, separator=',')}")
+            poses.append(f"{t_ns},{numbers(*position[row], *np.roll(quaternion[row], 1), separator=',')}")
             image = session / "cam0" / "data" / f"{t_ns}.png"
             placed[row] = image.relative_to(folder).as_posix()
             dataset.images[row].place(image, images)
