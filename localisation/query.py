@@ -109,12 +109,13 @@ class MapLocaliser:
         product = query @ self.map.descriptors[rows].T
         px = features.px.astype(float)
         known = _Query(px, camera.unproject(px), self.xyz[rows], self._covariance[rows], camera, readout_s, gravity)
-        matches = _ratio_matches(product, _RATIO)
+        matches = _ratio_matches(product)
         matches = matches[np.isfinite(known.ideal[matches[:, 0]]).all(axis=1)]
         count, seen = len(matches), seen_by(px, rows, matches, np.empty((0, 2), np.int64))
         if count < _MIN_MATCHES:
             return refused(Refusal.FEW_MATCHES, f"{count} matches, {_MIN_MATCHES} needed", count, 0, seen)
-        solution = known.pose(matches, seed)
+        max_error = _RANSAC_PX * _scale(camera) / camera.fx
+        solution = ransac(known.ideal[matches[:, 0]], known.xyz[matches[:, 1]], max_error, _TRIALS, seed)
         if solution is None or solution[1].sum() < _MIN_POSE:
             return refused(Refusal.NO_POSE, f"no pose explains {_MIN_POSE} of {count} matches", count, 0, seen)
         fit, inliers = self._refined(solution[0], matches[solution[1]], product, known)
@@ -195,12 +196,6 @@ class _Query:
     readout_s: float
     gravity: Array | None
 
-    def pose(self, matches: Ints, seed: int) -> tuple[Array, NDArray[np.bool_]] | None:
-        """A pose and its inliers among matches (keypoint, point)."""
-        ideal, xyz = self.ideal[matches[:, 0]], self.xyz[matches[:, 1]]
-        max_error = _RANSAC_PX * _scale(self.camera) / self.camera.fx
-        return ransac(ideal, xyz, max_error, _TRIALS, seed)
-
     def refined(self, map_T_cam: Array, matches: Ints, priors: Priors, iterations: int = _WELL) -> Fit:
         """The refined pose of matches (keypoint, point)."""
         keypoint, point = matches.T
@@ -246,8 +241,8 @@ def _predicted(fit: Fit, xyz: Array, camera: Camera, readout_s: float) -> Array:
     return px
 
 
-def _ratio_matches(product: Floats, ratio: float) -> Ints:
-    """Keypoint and point (M, 2): of each keypoint the most similar point, where the second is less so by `ratio`, and
+def _ratio_matches(product: Floats) -> Ints:
+    """Keypoint and point (M, 2): of each keypoint the most similar point, where the second is less so by a ratio, and
     of each point the most similar keypoint."""
     if product.shape[1] < 2:
         return np.empty((0, 2), np.int64)
@@ -257,7 +252,7 @@ def _ratio_matches(product: Floats, ratio: float) -> Ints:
     product[rows, nearest] = -1.0
     second = product.max(axis=1)
     product[rows, nearest] = best
-    kept = np.flatnonzero(1 - best < ratio**2 * (1 - second))
+    kept = np.flatnonzero(1 - best < _RATIO**2 * (1 - second))
     kept = kept[np.argsort(-best[kept], kind="stable")]
     first = np.unique(nearest[kept], return_index=True)[1]
     kept = np.sort(kept[first])

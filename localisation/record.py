@@ -86,8 +86,7 @@ def _log_answer(
 ) -> None:
     """An answer: its camera, the rays to its points, its keypoints, and what it says."""
     colour, seen = LOCALISERS[model].colour, answer.seen
-    scalar = rr.Scalars(float(answer.inliers if answer.map_T_cam is not None else 0))
-    stream.log(f"/{model}/inliers", scalar)
+    stream.log(f"/{model}/inliers", rr.Scalars(float(answer.inliers if answer.map_T_cam is not None else 0)))
     what = f"{answer.inliers} inliers of {answer.candidates} candidates"
     text = f"refused, {answer.refusal}: {answer.reason}" if answer.refusal else what
     stream.log(f"/{model}/answer", rr.TextDocument(f"{frame['frame_id']}: {text}"))
