@@ -46,10 +46,8 @@ def build_map(prepared: Prepared, settings: MapSettings, track: Track = untracke
         points = prepared.points_of(fold != number)
         if len(points.xyz) >= MIN_POINTS:
             localiser = MapLocaliser(compact_map(prepared, points, settings))
-            trials += [
-                held_out_trial(localiser, training, row)
-                for row in track(rows.tolist(), "Map: calibrating by held-out training frames", len(rows))
-            ]
+            held_out = track(rows.tolist(), "Map: calibrating by held-out training frames", len(rows))
+            trials += [held_out_trial(localiser, training, row) for row in held_out]
     return replace(compact_map(prepared, prepared.points, settings), calibration=calibrated(trials))
 
 

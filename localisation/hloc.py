@@ -44,12 +44,8 @@ class HLocLocaliser:
         every = np.concatenate([f.descriptors for f in self._features])
         rng = np.random.default_rng(0)
         self._words = k_means(every[np.sort(rng.permutation(len(every))[:_SAMPLES])], _WORDS, rng)
-        self._images = np.stack(
-            [
-                aggregate(f.descriptors, self._words)
-                for f in track(self._features, "HLoc: describing images", len(features))
-            ]
-        )
+        described = track(self._features, "HLoc: describing images", len(features))
+        self._images = np.stack([aggregate(f.descriptors, self._words) for f in described])
         self._first = np.cumsum([0, *(len(f) for f in features)])
         self._calibrate(prepared, track)
 
@@ -102,8 +98,7 @@ class HLocLocaliser:
     ) -> QueryResult:
         """The answer for a grey image (H, W) taken with `camera` as the phone logged it. Gravity and a prior
         aren't used."""
-        refusal = of_another_size(grey, camera)
-        if refusal:
+        if refusal := of_another_size(grey, camera):
             return refusal
         features = self.kind.extract(grey, self.extraction.max_features, self.extraction.max_side)
         return self.localise_features(features, camera, seed=seed)

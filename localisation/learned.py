@@ -5,6 +5,7 @@ The networks are kornia's; their weights come in a package.
 """
 
 import importlib.util
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -61,16 +62,11 @@ def _lighterglue() -> Any:
     """LightGlue for XFeat's features, with weights in the names of its first release."""
     kind = _kornia().LightGlue
     network = kind(features=None, **kind.features["xfeat"] | {"weights": None})
-    named = {}
-    for name, tensor in _state("xfeat-lighterglue.pt").items():
-        if name.startswith("extractor."):  # XFeat itself, which lies in its own file, too
-            continue
-        name = name.removeprefix("matcher.")
-        for block in ("self_attn", "cross_attn"):
-            if name.startswith(f"{block}."):
-                number, rest = name.removeprefix(f"{block}.").split(".", 1)
-                name = f"transformers.{number}.{block}.{rest}"
-        named[name] = tensor
+    named = {
+        re.sub(r"^(self_attn|cross_attn)\.(\d+)\.", r"transformers.\2.\1.", name.removeprefix("matcher.")): tensor
+        for name, tensor in _state("xfeat-lighterglue.pt").items()
+        if not name.startswith("extractor.")  # XFeat itself, which lies in its own file, too
+    }
     return _fill(network, named)
 
 

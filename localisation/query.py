@@ -69,8 +69,7 @@ class MapLocaliser:
         gravity: unit vector (3,), down, in the camera, or None.
         prior: about where the camera is, map_T_cam (4, 4), or None.
         """
-        refusal = of_another_size(grey, camera)
-        if refusal:
+        if refusal := of_another_size(grey, camera):
             return refusal
         best: QueryResult | None = None
         # Near a prior a smaller image is enough for most; where the answer isn't sure, the whole one is asked without
@@ -209,9 +208,8 @@ def _guided(fit: Fit, known: _Query, product: Floats) -> Ints:
     inside = np.flatnonzero(np.isfinite(predicted).all(axis=1))
     if not len(inside):
         return np.empty((0, 2), np.int64)
-    near, keypoint = cKDTree(known.px).query(
-        predicted[inside], k=4, distance_upper_bound=_GUIDED_PX * _scale(known.camera)
-    )
+    reach_px = _GUIDED_PX * _scale(known.camera)
+    near, keypoint = cKDTree(known.px).query(predicted[inside], k=4, distance_upper_bound=reach_px)
     point = np.broadcast_to(inside[:, None], keypoint.shape)[np.isfinite(near)]
     keypoint = keypoint[np.isfinite(near)]
     similarity = product[keypoint, point]

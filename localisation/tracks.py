@@ -45,14 +45,11 @@ def epipolar_error_px(a: Rays, b: Rays) -> Array:
 
     Infinite where rays meet behind one of the two.
     """
-    baseline = b.origin - a.origin
-    normal = np.cross(a.direction, b.direction)
+    u, v, baseline = a.direction, b.direction, b.origin - a.origin
+    normal = np.cross(u, v)
     length = np.linalg.norm(normal, axis=1)
-    aa, bb, ab = (
-        np.sum(x * y, axis=1)
-        for x, y in ((a.direction, a.direction), (b.direction, b.direction), (a.direction, b.direction))
-    )
-    da, db = np.sum(a.direction * baseline, axis=1), np.sum(b.direction * baseline, axis=1)
+    products = (u, u), (v, v), (u, v), (u, baseline), (v, baseline)
+    aa, bb, ab, da, db = (np.sum(x * y, axis=1) for x, y in products)
     with np.errstate(divide="ignore", invalid="ignore"):
         depth_a = (da * bb - db * ab) / (aa * bb - ab * ab)
         depth_b = (da * ab - db * aa) / (aa * bb - ab * ab)
