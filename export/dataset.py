@@ -224,11 +224,10 @@ class Dataset:
         says how far they are apart."""
         cameras, apart_px = self.cameras, 0.0
         for rows in self._lenses(cameras):
-            fx, fy, cx, cy = np.median(
-                [(c.fx, c.fy, c.cx, c.cy) for c in (cameras[row] for row in rows)], axis=0
-            ).tolist()
-            shared = replace(cameras[rows[0]], fx=fx, fy=fy, cx=cx, cy=cy)
-            if (off_px := max(_apart_px(cameras[row], shared) for row in rows)) > MAX_APART_PX:
+            own = [cameras[row] for row in rows]
+            fx, fy, cx, cy = np.median([(c.fx, c.fy, c.cx, c.cy) for c in own], axis=0).tolist()
+            shared = replace(own[0], fx=fx, fy=fy, cx=cx, cy=cy)
+            if (off_px := max(_apart_px(camera, shared) for camera in own)) > MAX_APART_PX:
                 apart_px = max(apart_px, off_px)
                 continue
             for row in rows:
@@ -351,10 +350,8 @@ def read_finished(
     if not (folder / MANIFEST).is_file():
         raise missing_stage(folder, stage, scene)
     manifest = load_verified(folder)
-    if (
-        reader is not None
-        and reader.get("inputs", {}).get(f"{scene}/{stage}", manifest["outputs"]) != manifest["outputs"]
-    ):
+    outputs = manifest["outputs"]
+    if reader is not None and reader.get("inputs", {}).get(f"{scene}/{stage}", outputs) != outputs:
         later = root.run(profile, scene, str(reader.get("stage")))
         raise UserError(f"stage {later.name} read another run of stage {stage}", where=later, do=run_command(later))
     return folder, manifest

@@ -77,9 +77,8 @@ def write_bundle(regressor: TrainedRegressor, folder: Path) -> list[str]:
         "quantisation": {**asdict(quantised), "processor": platform.processor() or platform.machine()},
         "notes": notes,
     }
-    (folder / "README.md").write_text(
-        readme(about, inputs.preprocessing, errors, regressor.units.values()), encoding="utf-8"
-    )
+    text = readme(about, inputs.preprocessing, errors, regressor.units.values())
+    (folder / "README.md").write_text(text, encoding="utf-8")
     write_manifest(folder, about)
     sizes = ", ".join(f"{name} {file.stat().st_size / 2**20:.1f} MiB" for name, file in networks.items())
     return [f"networks: {sizes}; recommended: {about['network']}", *notes]
