@@ -153,10 +153,8 @@ def sample_between(
             return []
         # The larger of the steps that remain when either side is cut evenly.
         before = steps // 2
-        remaining = np.maximum(
-            motion_steps(poses[a], poses[between], step_m, step_deg) / before,
-            motion_steps(poses[b], poses[between], step_m, step_deg) / (steps - before),
-        )
+        from_a, from_b = (motion_steps(poses[end], poses[between], step_m, step_deg) for end in (a, b))
+        remaining = np.maximum(from_a / before, from_b / (steps - before))
         best = remaining.min()
         allowed = _UNEVEN * best if best > 1 else min(_UNEVEN * best, 1.0)
         good = np.flatnonzero(remaining <= allowed)

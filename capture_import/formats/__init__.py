@@ -39,9 +39,8 @@ class Format(Entry):
 
     def faults(self) -> Iterable[str]:
         yield from super().faults()
-        yield from callable_faults(
-            self, ["read", *(name for name in ("detect", "missing") if getattr(self, name) is not None)]
-        )
+        given = [name for name in ("detect", "missing") if getattr(self, name) is not None]
+        yield from callable_faults(self, ["read", *given])
         if not isinstance(self.files, tuple) or not all(isinstance(name, str) for name in self.files):
             yield f"files is {self.files!r}, not names"
 

@@ -23,9 +23,8 @@ _IMAGES = ("wide", "vga_wide", "lowres_wide")
 def read(path: Path, limits: Limits) -> Recording:
     poses, rejects = parsing.read_rows(parsing.lines_of(path / "lowres_wide.traj", limits), _read_pose)
     folder = next(path / name for name in _IMAGES if (path / name).is_dir())
-    images, more = parsing.read_rows(
-        [(f"{folder.name}/{file.name}", file) for file in parsing.images_in(folder)], _read_image
-    )
+    files = [(f"{folder.name}/{file.name}", file) for file in parsing.images_in(folder)]
+    images, more = parsing.read_rows(files, _read_image)
     frames = parsing.join_by_time(poses, images)
     return Recording("iPad Pro, ARKitScenes", Clock.BOOT, path, frames, [*rejects, *more], PoseSource.REFERENCE)
 

@@ -26,11 +26,8 @@ _LISTS = {"dataset_train.txt": SessionSplit.TRAIN, "dataset_test.txt": SessionSp
 
 
 def detect(path: Path) -> bool:
-    return (
-        path.is_dir()
-        and any((path.parent / name).is_file() for name in _LISTS)
-        and any(parsing.is_image(p) for p in path.iterdir())
-    )
+    has_list = any((path.parent / name).is_file() for name in _LISTS)
+    return path.is_dir() and has_list and any(parsing.is_image(p) for p in path.iterdir())
 
 
 def read(path: Path, limits: Limits) -> Recording:

@@ -37,9 +37,8 @@ def read(path: Path, limits: Limits) -> Recording:
     folder = next(path / name for name in _FOLDERS if (path / name).is_dir())
     camera, cam0_T_cam = _camera(path / "calib.txt", f"P{folder.name[-1]}", limits)
     times = [line for _, line in parsing.lines_of(path / "times.txt", limits)]
-    image_of = {
-        int(stem): image for stem, image in parsing.by_stem(parsing.images_in(folder)).items() if stem.isdecimal()
-    }
+    by_stem = parsing.by_stem(parsing.images_in(folder))
+    image_of = {int(stem): image for stem, image in by_stem.items() if stem.isdecimal()}
 
     def read_row(place: int, line: str) -> RawFrame:
         if place >= len(times):

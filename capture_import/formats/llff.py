@@ -32,20 +32,17 @@ def read(path: Path, limits: Limits) -> Recording:
         if stored.dtype.kind != "f" or stored.shape[1:] != (_NUMBERS,) or len(stored) > limits.max_rows:
             raise ValueError(f"{stored.dtype} of shape {stored.shape}")
     except _BROKEN as error:
-        expected = f"an array of {_NUMBERS} numbers for each image"
-        raise UserError(
-            "a log can't be read", where=file, found=str(error).split("\n")[0][:200], expected=expected
-        ) from None
-    count_of = {
-        folder: parsing.images_in(folder) for folder in (path / "images", *parsing.in_order(path.glob("images_*/")))
-    }
-    images = next((images for images in count_of.values() if len(images) == len(stored)), None)
+        found, expected = str(error).split("\n")[0][:200], f"an array of {_NUMBERS} numbers for each image"
+        raise UserError("a log can't be read", where=file, found=found, expected=expected) from None
+    folders = [path / "images", *parsing.in_order(path.glob("images_*/"))]
+    images_of = {folder: parsing.images_in(folder) for folder in folders}
+    images = next((images for images in images_of.values() if len(images) == len(stored)), None)
     if images is None:
         raise UserError(
             f"the images can't be joined to the rows of {_FILE}, which have no names",
             where=path,
             expected=f"{len(stored)} images, as many as rows",
-            found=", ".join(f"{len(images)} in {folder.name}/" for folder, images in count_of.items()),
+            found=", ".join(f"{len(images)} in {folder.name}/" for folder, images in images_of.items()),
             do="copy the data set again, with all its images",
         )
     in_text_order = sorted(images, key=lambda image: image.name)

@@ -163,9 +163,8 @@ def _focal_px(details: dict[int, Any], width: int, height: int) -> float | None:
     whole = [_number(details.get(tag)) for tag in (base.ExifImageWidth, base.ExifImageHeight)]
     if all(whole) and abs(max(whole) / min(whole) / (max(width, height) / min(width, height)) - 1) > _SAME_ASPECT:
         return None
-    film_mm, focal_mm, density = (
-        _number(details.get(tag)) for tag in (base.FocalLengthIn35mmFilm, base.FocalLength, base.FocalPlaneXResolution)
-    )
+    tags = (base.FocalLengthIn35mmFilm, base.FocalLength, base.FocalPlaneXResolution)
+    film_mm, focal_mm, density = (_number(details.get(tag)) for tag in tags)
     if film_mm:
         focal_px = film_mm * math.hypot(width, height) / _FILM_DIAGONAL_MM
     else:

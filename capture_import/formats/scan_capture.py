@@ -48,9 +48,8 @@ def _read_row(_: int, line: str) -> RawFrame:
     if len(fields) not in (15, 16):
         raise parsing.BadRow(f"row has {len(fields)} fields, not 15 or 16")
     status = fields.pop(1).lower()
-    us, tx, ty, tz, qx, qy, qz, qw, width, height, fx, fy, cx, cy, *exposure = (
-        parsing.to_number(field, "value") for field in fields
-    )
+    numbers = (parsing.to_number(field, "value") for field in fields)
+    us, tx, ty, tz, qx, qy, qz, qw, width, height, fx, fy, cx, cy, *exposure = numbers
     return RawFrame(
         parsing.seconds_to_ns(us * 1e-6),
         parsing.from_arkit(parsing.quaternion_pose([tx, ty, tz], [qx, qy, qz, qw])),

@@ -10,7 +10,7 @@ import csv
 import math
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple, cast, get_args
 
@@ -113,16 +113,16 @@ class Blurring:
     where it's given."""
 
     detect: Detector | None = None
-    boxes: Mapping[str, list[Region]] | None = None
+    boxes: Mapping[str, list[Region]] = field(default_factory=dict)
 
     def looks_at(self, frame_id: str) -> bool:
         """Whether it says anything of an image."""
-        return self.detect is not None or frame_id in (self.boxes or {})
+        return self.detect is not None or frame_id in self.boxes
 
     def regions(self, frame_id: str, rgb: NDArray[np.uint8], quarters: int) -> list[Region] | None:
         """The regions of an image (H, W, 3) to be blurred, None where nothing looks at it. `quarters` clockwise turns
         put it upright, as detectors know no faces that lie on their side."""
-        if (given := (self.boxes or {}).get(frame_id)) is not None or self.detect is None:
+        if (given := self.boxes.get(frame_id)) is not None or self.detect is None:
             return given
         upright = turned_pixels(rgb, quarters)
         height, width = upright.shape[:2]
@@ -140,9 +140,7 @@ def blurred(rgb: NDArray[np.uint8], regions: Iterable[Region]) -> NDArray[np.uin
     for region in regions:
         margin_x, margin_y = round(region.width * _MARGIN), round(region.height * _MARGIN)
         left, top = max(0, region.x - margin_x), max(0, region.y - margin_y)
-        right, bottom = (
-            max(0, end) for end in (region.x + region.width + margin_x, region.y + region.height + margin_y)
-        )
+        right, bottom = max(0, region.x + region.width + margin_x), max(0, region.y + region.height + margin_y)
         part = erased[top:bottom, left:right]
         height, width = part.shape[:2]
         if height and width:
