@@ -82,14 +82,14 @@ def _dense_part(frames: Sequence[Image]) -> Sequence[Image]:
 def _image_motion(views: Sequence[tuple[Image, Gray]]) -> Array:
     """Motion of the image centre from image to image, in focal lengths (N - 1, 2)."""
     shifts = []
-    window = None
     last: NDArray[np.float32] | None = None
     for image, gray in views:
-        current, scale = gray.astype(np.float32), gray.shape[1] / image.check.width
+        height, width = gray.shape
+        # phaseCorrelate would write its window into its images, into each one twice.
+        current = gray * cv2.createHanningWindow((width, height), cv2.CV_32F)
         if last is not None and last.shape == current.shape:
-            if window is None or window.shape != current.shape:
-                window = cv2.createHanningWindow((current.shape[1], current.shape[0]), cv2.CV_32F)
-            (dx, dy), _ = cv2.phaseCorrelate(last, current, window)
+            (dx, dy), _ = cv2.phaseCorrelate(last, current)
+            scale = width / image.check.width
             shifts.append((dx / (image.camera.fx * scale), dy / (image.camera.fy * scale)))
         last = current
     return np.array(shifts)
