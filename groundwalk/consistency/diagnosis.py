@@ -41,7 +41,10 @@ def diagnose(parts: Sequence[TrajectoryPair]) -> Diagnosis:
         for trajectories in ([p.sfm_T_cam for p in parts], [p.vio_T_cam for p in parts])
     )
     motions = compare_motions(sfm, vio, common_scale=True)
-    scale = _step_scale(sfm, vio)
+    # VIO metres per SfM unit, by near frames: most of these are right in a model that merges places far apart.
+    metres, units = (np.linalg.norm(step[:, :3, 3], axis=1) for step in (vio, sfm))
+    moved = (metres > 0.1) & (units > 0)
+    scale = float(np.median(metres[moved] / units[moved])) if moved.any() else float("nan")
     frames = sum(len(part.vio_T_cam) for part in parts)
     aliased, max_distance_m, start = 0, 0.0, 0
     for part, (a, b) in zip(parts, pairs, strict=True):
@@ -75,13 +78,6 @@ def _near_pairs(vio_T_cam: Array) -> tuple[np.ndarray, np.ndarray]:
     b = following[a]
     inside = b + 1 < count
     return np.concatenate([a, a[inside]]), np.concatenate([b, b[inside] + 1])
-
-
-def _step_scale(sfm: Array, vio: Array) -> float:
-    """VIO metres per SfM unit of near frames: most of these are right in a model that merges places far apart."""
-    metres, units = (np.linalg.norm(step[:, :3, 3], axis=1) for step in (vio, sfm))
-    moved = (metres > 0.1) & (units > 0)
-    return float(np.median(metres[moved] / units[moved])) if moved.any() else float("nan")
 
 
 def _aliased(part: TrajectoryPair, scale: float) -> tuple[int, float]:

@@ -55,12 +55,7 @@ class WindowResiduals:
 
 
 def fit_rigid(
-    map_T_cam: Array,
-    vio_T_cam: Array,
-    sd: PoseSd,
-    *,
-    yaw_only: bool = False,
-    tolerance: float = ROBUST_TOLERANCE,
+    map_T_cam: Array, vio_T_cam: Array, sd: PoseSd, *, yaw_only: bool = False, tolerance: float = ROBUST_TOLERANCE
 ) -> tuple[Array, Array, Array]:
     """Robust map_T_vio (4, 4) from poses (N, 4, 4) of the same frames, and its residuals: metres and radians (N,)."""
 
@@ -81,9 +76,7 @@ def fit_rigid(
 
 
 def compare_windows(
-    metric: TrajectoryPair,
-    tolerance: float = ROBUST_TOLERANCE,
-    frame_sd: tuple[Array, Array] | None = None,
+    metric: TrajectoryPair, tolerance: float = ROBUST_TOLERANCE, frame_sd: tuple[Array, Array] | None = None
 ) -> list[WindowResiduals]:
     """The windows of a trajectory whose poses by SfM are at metric scale, each with VIO rigidly fitted to it.
 

@@ -53,14 +53,7 @@ class EarthFit:
 
 
 def fit_earth(
-    enu: Array,
-    sd: Array,
-    xyz: Array,
-    t_s: Array,
-    walk: NDArray[np.int64],
-    *,
-    rigid: bool,
-    vertical_sd: float | None,
+    enu: Array, sd: Array, xyz: Array, t_s: Array, walk: NDArray[np.int64], *, rigid: bool, vertical_sd: float | None
 ) -> EarthFit:
     """Fit points (N, 3) of a map to fixes (N, 3), up NaN where it isn't known, with standard errors (N, 3) an axis.
 

@@ -19,12 +19,26 @@ _FIT_STEPS = 10
 
 def distort(ideal_M2: Array, coefficients: ArrayLike) -> Array:
     """Where the lens puts ideal image points (M, 2): distorted points (M, 2)."""
-    return _distorted(np.asarray(ideal_M2, float), _eight(coefficients))[0]
+    return distort_with_slope(ideal_M2, coefficients)[0]
 
 
 def distort_with_slope(ideal_M2: Array, coefficients: ArrayLike) -> tuple[Array, Array]:
     """Distorted points (M, 2), and their derivatives by the ideal ones (M, 2, 2)."""
-    return _distorted(np.asarray(ideal_M2, float), _eight(coefficients))
+    x, y = np.asarray(ideal_M2, float).T
+    k1, k2, p1, p2, k3, k4, k5, k6 = _eight(coefficients).T
+    r2 = x * x + y * y
+    above, below = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    radial = above / below
+    # The derivative of `radial` by r^2, twice.
+    bend = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3) - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) / below
+    cross = bend * x * y + 2 * p1 * x + 2 * p2 * y
+    slope = np.empty((len(x), 2, 2))
+    slope[:, 0, 0] = radial + bend * x * x + 2 * p1 * y + 6 * p2 * x
+    slope[:, 1, 1] = radial + bend * y * y + 6 * p1 * y + 2 * p2 * x
+    slope[:, 0, 1] = slope[:, 1, 0] = cross
+    tangential_x = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    tangential_y = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    return np.stack([x * radial + tangential_x, y * radial + tangential_y], axis=1), slope
 
 
 def slope_by_numerator(ideal_M2: Array, coefficients: ArrayLike) -> Array:
@@ -47,7 +61,7 @@ def undistort(distorted_M2: Array, coefficients: ArrayLike) -> Array:
     if not eight.any():
         return ideal
     for _ in range(_MAX_STEPS):
-        again, slope = _distorted(ideal, eight)
+        again, slope = distort_with_slope(ideal, eight)
         miss = again - distorted
         if not len(miss) or np.nanmax(np.abs(miss), initial=0.0) < _PRECISION:
             return ideal
@@ -55,7 +69,7 @@ def undistort(distorted_M2: Array, coefficients: ArrayLike) -> Array:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             ideal[:, 0] -= (slope[:, 1, 1] * miss[:, 0] - slope[:, 0, 1] * miss[:, 1]) / determinant
             ideal[:, 1] -= (slope[:, 0, 0] * miss[:, 1] - slope[:, 1, 0] * miss[:, 0]) / determinant
-    ideal[~(np.abs(_distorted(ideal, eight)[0] - distorted) < 1e-9).all(axis=1)] = np.nan
+    ideal[~(np.abs(distort(ideal, eight) - distorted) < 1e-9).all(axis=1)] = np.nan
     return ideal
 
 
@@ -121,24 +135,6 @@ def max_shift(coefficients: ArrayLike, other: ArrayLike, extent_xy: tuple[float,
     x, y = np.meshgrid(np.linspace(-1, 1, 17) * extent_xy[0], np.linspace(-1, 1, 17) * extent_xy[1])
     grid = np.stack([x.ravel(), y.ravel()], axis=1)
     return float(np.linalg.norm(distort(grid, coefficients) - distort(grid, other), axis=1).max())
-
-
-def _distorted(ideal_M2: Array, eight: Array) -> tuple[Array, Array]:
-    x, y = ideal_M2.T
-    k1, k2, p1, p2, k3, k4, k5, k6 = eight.T
-    r2 = x * x + y * y
-    above, below = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-    radial = above / below
-    # The derivative of `radial` by r^2, twice.
-    bend = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3) - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) / below
-    cross = bend * x * y + 2 * p1 * x + 2 * p2 * y
-    slope = np.empty((len(x), 2, 2))
-    slope[:, 0, 0] = radial + bend * x * x + 2 * p1 * y + 6 * p2 * x
-    slope[:, 1, 1] = radial + bend * y * y + 6 * p1 * y + 2 * p2 * x
-    slope[:, 0, 1] = slope[:, 1, 0] = cross
-    tangential_x = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-    tangential_y = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    return np.stack([x * radial + tangential_x, y * radial + tangential_y], axis=1), slope
 
 
 def _eight(coefficients: ArrayLike) -> Array:

@@ -44,7 +44,10 @@ def smooth_chain(
     normal = np.zeros((12, 6 * n))
     for _ in range(_MAX_ITERATIONS):
         own, g = _of_measurements(z, poses, measured_sd, huber)
-        normal = _banded(own, _add_steps(own, g, d, poses, step_sd))
+        below = _add_steps(own, g, d, poses, step_sd)
+        for column in range(6):  # the lower diagonals, as solveh_banded takes them
+            normal[: 6 - column, column::6] = own[:, column:, column].T
+            normal[6 - column : 12 - column, column : 6 * (n - 1) : 6] = below[:, :, column].T
         update = -solveh_banded(normal, g.ravel(), lower=True).reshape(n, 6)
         poses[:, :3, :3] = poses[:, :3, :3] @ Rotation.from_rotvec(update[:, :3]).as_matrix()
         poses[:, :3, 3] += update[:, 3:]
@@ -93,12 +96,3 @@ def _add_steps(own: Array, g: Array, steps: Array, poses: Array, sd: tuple[float
     g[:-1] += np.einsum("nij,ni->nj", A, residual)
     g[1:] += np.einsum("nij,ni->nj", B, residual)
     return Bt @ A
-
-
-def _banded(own: Array, below: Array) -> Array:
-    """The normal equations' lower diagonals (12, 6 N), as scipy.linalg.solveh_banded takes them."""
-    bands = np.zeros((12, 6 * len(own)))
-    for column in range(6):
-        bands[: 6 - column, column::6] = own[:, column:, column].T
-        bands[6 - column : 12 - column, column : 6 * len(below) : 6] = below[:, :, column].T
-    return bands

@@ -134,12 +134,7 @@ def triangulate(observations: Observations, model_T_cam: Array, count: int, weig
 
 
 def measure(
-    corners: Corners,
-    observations: Observations,
-    model_T_cam: Array,
-    covariance: Array,
-    *,
-    min_pixel_sd: float,
+    corners: Corners, observations: Observations, model_T_cam: Array, covariance: Array, *, min_pixel_sd: float
 ) -> RulerFit:
     """Triangulate a ruler's corners and fit the ruler to them by a similarity.
 
@@ -154,15 +149,25 @@ def measure(
     """
     count = len(corners.xyz_m)
     usable, inlier = _inliers(observations, model_T_cam, count, min_pixel_sd)
-    inlier[inlier] = _in_parts_with_two(corners, observations.corner[inlier])
+    part, seen = corners.part, observations.corner[inlier]
+    inlier[inlier] = np.bincount(part[np.unique(seen)], minlength=part.max() + 1)[part[seen]] >= 2
     if not inlier.any():
         raise GeometryError("no part of the ruler has two corners that two frames see")
     used = observations.where(inlier)
     xyz, weights, pixel_sd = _triangulate_inliers(used, model_T_cam, covariance, count, min_pixel_sd)
     covariance = np.nan_to_num(covariance)
     at = _linearise(used, model_T_cam, xyz)
-    scale, fitted, gradient = _similarity(corners, xyz, _corner_weights(at, used, count, weights))
-    sd = _scale_sd(at, used, covariance, gradient, weights, pixel_sd)
+    observed = np.unique(used.corner)
+    hessian = _sums(np.swapaxes(at.by_corner, 1, 2) @ at.by_corner, used.corner, count, weights)
+    hessian = _ridged(hessian[observed])
+    certainty = np.zeros(count)  # of triangulated corners: one over their variance, up to a factor
+    certainty[observed] = 1 / np.trace(np.linalg.inv(hessian), axis1=1, axis2=2)
+    scale, fitted, gradient = _similarity(corners, xyz, certainty)
+    moved = np.zeros_like(gradient)
+    moved[observed] = np.linalg.solve(hessian, gradient[observed, :, None])[:, :, 0]
+    # d log scale = sum of influence . residual, over all observations.
+    influence = -weights[:, None] * np.einsum("mij,mj->mi", at.by_corner, moved[used.corner])
+    sd = _scale_sd(at, used, covariance, influence, pixel_sd)
     residual = np.full((len(usable), 2), np.nan)
     residual[usable] = _linearise(observations.where(usable), model_T_cam, xyz).residual
     frames = np.unique(used.frame)
@@ -228,8 +233,12 @@ def _triangulate_inliers(
     """Corners (count, 3) by least squares, the weights (M,) of observations in it, and their pixels' sigma."""
     xyz = triangulate(used, model_T_cam, count, np.ones(len(used.corner)))
     at = _linearise(used, model_T_cam, xyz)
-    by_poses = _pose_variance(at, used, np.nan_to_num(covariance))
-    pixel_sd = _pixel_sd(at.residual, used, by_poses, min_pixel_sd)
+    # What a frame's pose may be off by, as variance in an image axis, mean over its corners.
+    variance = np.einsum("mij,mjk,mik->m", at.by_pose, np.nan_to_num(covariance)[used.frame], at.by_pose) / 2
+    by_poses = (np.bincount(used.frame, variance) / np.maximum(np.bincount(used.frame), 1))[used.frame]
+    # The residuals' scatter less that of the poses' errors.
+    freedom = at.residual.size - 3 * len(np.unique(used.corner))
+    pixel_sd = float(np.sqrt(max(np.sum(at.residual**2) / freedom - by_poses.mean(), min_pixel_sd**2)))
     weights = pixel_sd**2 / (pixel_sd**2 + by_poses)
     return triangulate(used, model_T_cam, count, weights), weights, pixel_sd
 
@@ -249,34 +258,6 @@ def _linearise(observations: Observations, model_T_cam: Array, xyz: Array) -> _L
     # The camera truly is at exp(rotation) R, t + position: what is observed differs by the opposite of this.
     by_pose = np.concatenate([-by_corner @ skew(arm), by_corner], axis=2)
     return _Linearization(residual, by_corner, by_pose)
-
-
-def _in_parts_with_two(corners: Corners, corner: Indices) -> Mask:
-    """(M,) observations of a part of which two corners or more are observed."""
-    observed = np.unique(corner)
-    return np.asarray(np.bincount(corners.part[observed], minlength=corners.part.max() + 1)[corners.part[corner]] >= 2)
-
-
-def _pose_variance(at: _Linearization, used: Observations, covariance: Array) -> Array:
-    """(M,) what a frame's pose may be off by, as variance in an image axis, mean over its corners."""
-    variance = np.einsum("mij,mjk,mik->m", at.by_pose, covariance[used.frame], at.by_pose) / 2
-    mean = np.bincount(used.frame, variance) / np.maximum(np.bincount(used.frame), 1)
-    return np.asarray(mean[used.frame])
-
-
-def _pixel_sd(residual: Array, used: Observations, by_poses: Array, min_sd: float) -> float:
-    """Standard deviation of an observation in an image axis: the residuals' scatter less that of the poses' errors."""
-    freedom = residual.size - 3 * len(np.unique(used.corner))
-    return float(np.sqrt(max(np.sum(residual**2) / freedom - by_poses.mean(), min_sd**2)))
-
-
-def _corner_weights(at: _Linearization, used: Observations, count: int, weights: Array) -> Array:
-    """(count,) one over the variance of each triangulated corner, up to a factor; 0 where there is none."""
-    hessian = _sums(np.swapaxes(at.by_corner, 1, 2) @ at.by_corner, used.corner, count, weights)
-    observed = np.bincount(used.corner, minlength=count) > 0
-    result = np.zeros(count)
-    result[observed] = 1 / np.trace(np.linalg.inv(_ridged(hessian[observed])), axis1=1, axis2=2)
-    return result
 
 
 def _similarity(corners: Corners, xyz: Array, weights: Array) -> tuple[float, Array, Array]:
@@ -302,15 +283,7 @@ def _similarity(corners: Corners, xyz: Array, weights: Array) -> tuple[float, Ar
     return scale, fitted, pulls / strength
 
 
-def _scale_sd(
-    at: _Linearization, used: Observations, covariance: Array, gradient: Array, weights: Array, pixel_sd: float
-) -> float:
-    hessian = _ridged(_sums(np.swapaxes(at.by_corner, 1, 2) @ at.by_corner, used.corner, len(gradient), weights))
-    observed = np.unique(used.corner)
-    moved = np.zeros_like(gradient)
-    moved[observed] = np.linalg.solve(hessian[observed], gradient[observed, :, None])[:, :, 0]
-    # d log scale = sum of influence . residual, over all observations.
-    influence = -weights[:, None] * np.einsum("mij,mj->mi", at.by_corner, moved[used.corner])
+def _scale_sd(at: _Linearization, used: Observations, covariance: Array, influence: Array, pixel_sd: float) -> float:
     by_pose = np.zeros((len(covariance), 6))
     np.add.at(by_pose, used.frame, np.einsum("mij,mi->mj", at.by_pose, influence))
     propagated = np.einsum("fi,fij,fj->", by_pose, covariance, by_pose) + pixel_sd**2 * np.sum(influence**2)

@@ -91,7 +91,10 @@ def _is_room(axes: tuple[float, float, float], others: tuple[float, float, float
 
 def _candidates(normals: Array, weights: Array) -> list[Array]:
     """Axes (3, 3), one a row, of which two are directions along which many lines may run, or +y and one of them."""
-    directions = _half_sphere()
+    # Unit vectors with y >= 0, evenly: Fibonacci's lattice.
+    index = np.arange(_DIRECTIONS) + 0.5
+    y, turn = 1 - index / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * index
+    directions = np.column_stack([np.sqrt(1 - y**2) * np.cos(turn), y, np.sqrt(1 - y**2) * np.sin(turn)])
     across = np.abs(normals.astype(np.float32) @ directions.T.astype(np.float32))
     counted = weights.astype(np.float32) @ np.clip(1 - across / np.float32(np.sin(_WIDTH)), 0, None)
     tried = [np.array([0.0, 1.0, 0.0])]
@@ -106,14 +109,6 @@ def _candidates(normals: Array, weights: Array) -> list[Array]:
             second /= np.linalg.norm(second)
             frames.append(np.stack([a, second, np.cross(a, second)]))
     return frames
-
-
-def _half_sphere() -> Array:
-    """Unit vectors (_DIRECTIONS, 3) with y >= 0, evenly: Fibonacci's lattice."""
-    index = np.arange(_DIRECTIONS) + 0.5
-    y, turn = 1 - index / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * index
-    across = np.sqrt(1 - y**2)
-    return np.column_stack([across * np.cos(turn), y, across * np.sin(turn)])
 
 
 def _fitted(axes: Array, normals: Array, weights: Array) -> Array:
