@@ -48,12 +48,7 @@ def runs(data: str | PathLike[str] = "data") -> "pd.DataFrame":
     return pd.DataFrame(rows, columns=["scene", "profile", "simulated", "stages", "outdated", "verdict", "folder"])
 
 
-_MODULES = {
-    "Run": "run",
-    "UserError": "store.errors",
-    "open_bundle": "runtime.bundle",
-    "pose_array": "run",
-}
+_MODULES = {"Run": "run", "UserError": "store.errors", "open_bundle": "runtime.bundle", "pose_array": "run"}
 
 
 def __getattr__(name: str) -> Any:

@@ -249,9 +249,7 @@ def _plots(look: Look) -> Figure:
 
 def advice(looks: Sequence[Look]) -> list[tuple[str, str, str]]:
     """What to do better in the next walk: (session, what, why)."""
-    rows = []
-    for look in looks:
-        rows += [(look.session.session_id, what, why) for what, why in _advice(look)]
+    rows = [(look.session.session_id, what, why) for look in looks for what, why in _advice(look)]
     if len({look.session.recording.recording_id for look in looks}) == 1:
         rows.append(("all", "record a second walk over the same ground", "one walk can't be tested by another"))
     return rows

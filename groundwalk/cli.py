@@ -14,7 +14,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from groundwalk.store.cli import new_app, settings_help, stage_command
-from groundwalk.store.settings import DataRoot
+from groundwalk.store.registry import Lazy
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,9 @@ class Command:
             command: Any = get_command(import_module(f"groundwalk.{self.module}").app)
             return command.commands[self.subcommand] if self.subcommand else command
         app, stage = new_app(""), self.stage()
-
-        def write_index(data: DataRoot) -> None:
-            import_module("groundwalk.reports.runs_index").write_index(data)
-
         epilog = settings_help(self.name, stage.settings)
-        app.command(self.name, help=stage.help, epilog=epilog)(stage_command(stage, write_index))
+        command = stage_command(stage, Lazy("groundwalk.reports.runs_index:write_index"))
+        app.command(self.name, help=stage.help, epilog=epilog)(command)
         return get_command(app)
 
     def stage(self) -> Any:

@@ -57,8 +57,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 def read_part(folder: Path, name: str) -> dict[str, Any]:
     """A JSON file of a bundle that `read_manifest` has looked at."""
-    content = json.loads((folder / name).read_text(encoding="utf-8"))
-    return dict(content)
+    return dict(json.loads((folder / name).read_text(encoding="utf-8")))
 
 
 def _check_files(folder: Path, listed: Mapping[str, str]) -> None:

@@ -61,11 +61,6 @@ class Preprocessing:
         return made
 
     @property
-    def needs_camera(self) -> bool:
-        """Whether the intrinsics change what the network sees."""
-        return any(step["step"] == "pinhole" for step in self.steps)
-
-    @property
     def is_upright(self) -> bool:
         """Whether the network sees images that are turned until gravity points down."""
         return any(step["step"] == "upright_crop" for step in self.steps)
@@ -74,8 +69,8 @@ class Preprocessing:
         """Whether images of this size have a shape that the network can be asked about."""
         wanted_width, wanted_height = int(self.image["width_px"]), int(self.image["height_px"])
         turned = (width > height) != (wanted_width > wanted_height) and wanted_width != wanted_height
-        other = abs(width / height / (wanted_width / wanted_height) - 1) > _SAME_ASPECT
-        return not turned and (self.needs_camera or not other)
+        is_alike = abs(width / height / (wanted_width / wanted_height) - 1) <= _SAME_ASPECT
+        return not turned and (is_alike or any(step["step"] == "pinhole" for step in self.steps))
 
     def camera_rotation(self, map_R_seen: Array, gravity: Array | None) -> Array:
         """map_R_cam (3, 3) of the network's answer (3, 3), which is of the camera whose image it sees.

@@ -131,27 +131,22 @@ def file_query(path: Path, common: Mapping[str, Any]) -> Query:
 
 
 def _stated(file: Path) -> dict[str, Any]:
-    """What a JSON file says of an image, nothing where there is none."""
-    content = _object(file) if file.is_file() else {}
-    return _scanner_app(content, file) if _ARKIT_POSE in content else content
-
-
-def _scanner_app(content: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """Intrinsics, and gravity by ARKit's pose (camera y up and z backward, world y up), of a frame's file."""
-    K = _array(content.get("intrinsics"), (3, 3), "intrinsics", file)
-    world_T_arkit_cam = _array(content[_ARKIT_POSE], (4, 4), _ARKIT_POSE, file)
-    down = -world_T_arkit_cam[1, :3] * [1, -1, -1]
-    return {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2], "gravity": down}
-
-
-def _object(file: Path) -> dict[str, Any]:
+    """What a JSON file says of an image, nothing where there is none; 3D Scanner App's of a frame its intrinsics, and
+    gravity by ARKit's pose (camera y up and z backward, world y up)."""
+    if not file.is_file():
+        return {}
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise UserError("a file with intrinsics can't be read", where=file, found=error, expected="JSON") from None
     if not isinstance(content, dict):
         raise UserError("a file with intrinsics has something else", where=file, expected="a JSON object")
-    return content
+    if _ARKIT_POSE not in content:
+        return content
+    K = _array(content.get("intrinsics"), (3, 3), "intrinsics", file)
+    world_T_arkit_cam = _array(content[_ARKIT_POSE], (4, 4), _ARKIT_POSE, file)
+    down = -world_T_arkit_cam[1, :3] * [1, -1, -1]
+    return {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2], "gravity": down}
 
 
 def numbers(text: str, count: int, option: str) -> list[float]:

@@ -33,8 +33,7 @@ DataOption = Annotated[Path, typer.Option(help="The data folder, with captures/ 
 # The limits are those of the libraries that take it.
 SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=2**31 - 1)]
 SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", help="One setting, key=value as in TOML; may be given several times."),
+    list[str] | None, typer.Option("--set", help="One setting, key=value as in TOML; may be given several times.")
 ]
 
 EXPECTED_VERSION = "GROUNDWALK_EXPECTED_VERSION"

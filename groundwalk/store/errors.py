@@ -14,13 +14,7 @@ class UserError(Exception):
     """
 
     def __init__(
-        self,
-        what: str,
-        *,
-        where: object = None,
-        expected: object = None,
-        found: object = None,
-        do: str | None = None,
+        self, what: str, *, where: object = None, expected: object = None, found: object = None, do: str | None = None
     ) -> None:
         self.what = what
         self.details: dict[str, Any] = {"where": where, "expected": expected, "found": found, "do": do}

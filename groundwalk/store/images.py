@@ -91,9 +91,8 @@ def small_jpeg(path: Path, long_side: int, gravity_x: float, gravity_y: float) -
     scale = min(1.0, long_side / max(image.shape[:2]))
     image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     if not math.isnan(gravity_x + gravity_y):
-        quarters = round(math.degrees(math.atan2(gravity_x, gravity_y)) / 90) % 4
-        turns = {1: cv2.ROTATE_90_CLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_COUNTERCLOCKWISE}
-        image = cv2.rotate(image, turns[quarters]) if quarters else image
+        quarters = round(math.degrees(math.atan2(gravity_x, gravity_y)) / 90)
+        image = np.ascontiguousarray(np.rot90(image, -quarters))
     done, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 70])
     if not done:
         raise RuntimeError(f"no JPEG of {path}")

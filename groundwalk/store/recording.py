@@ -114,12 +114,7 @@ def log_camera(
     )
 
 
-def log_images(
-    stream: rr.RecordingStream,
-    path: str,
-    frames: pd.DataFrame,
-    times: list[tuple[str, Array]],
-) -> None:
+def log_images(stream: rr.RecordingStream, path: str, frames: pd.DataFrame, times: list[tuple[str, Array]]) -> None:
     """Small upright images of rows of import.frames with the `file` of each; of a long walk not all, and those whose
     file is gone are left out: no result hangs on them. `times` (N,) are those of the frames on each timeline: numbers
     of frames, or nanoseconds since the walk's first."""

@@ -23,14 +23,7 @@ from groundwalk.store.cores import machine
 from groundwalk.store.damage import free_bytes
 from groundwalk.store.definition import Stage
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import (
-    RECORDING,
-    STOPPED,
-    partial_folder,
-    refuse_irreplaceable,
-    swap_in,
-    write_json,
-)
+from groundwalk.store.files import RECORDING, STOPPED, partial_folder, refuse_irreplaceable, swap_in, write_json
 from groundwalk.store.hints import of_scene
 from groundwalk.store.images import image_file
 from groundwalk.store.manifests import MANIFEST, listed_files, load_manifest, missing_stage, output_hashes
@@ -181,12 +174,10 @@ class StageRun(Generic[S]):
         """Keep a number or text in the manifest."""
         self.figures[name] = value
 
-    @contextlib.contextmanager
-    def recording(self, blueprint: object) -> Iterator[rr.RecordingStream]:
+    def recording(self, blueprint: object) -> contextlib.AbstractContextManager[rr.RecordingStream]:
         """The stage's recording.rrd, with its blueprint."""
         name = f"{self.profile}/{self.scene.name}"
-        with recording.open_recording(self.work / RECORDING, self.stage.name, name, blueprint) as stream:
-            yield stream
+        return recording.open_recording(self.work / RECORDING, self.stage.name, name, blueprint)
 
 
 def execute(

@@ -63,7 +63,9 @@ def view_in_window(files: Sequence[Path]) -> int:
 
 def view_in_browser(files: Sequence[Path]) -> int:
     """Serve the recordings until the viewer's server ends; its exit status. Opens the page in the browser."""
-    port = _free_port()
+    with socket.socket() as held:
+        held.bind((_LOOPBACK, 0))
+        port = held.getsockname()[1]  # a free one
     upstream = f"http://{_LOOPBACK}:{port}"
     # Given an address instead of files, it serves its page and no data.
     with _rerun(f"{upstream}/none.rrd", "--serve-web", "--web-viewer-port", str(port)) as rerun:
@@ -142,12 +144,6 @@ class _Page(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *arguments: object) -> None:
         pass
-
-
-def _free_port() -> int:
-    with socket.socket() as held:
-        held.bind((_LOOPBACK, 0))
-        return int(held.getsockname()[1])
 
 
 def _wait_for(page: str, rerun: subprocess.Popen[bytes]) -> None:
