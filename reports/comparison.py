@@ -13,11 +13,10 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
-from groundwalk.geometry.poses import Array
 from groundwalk.reports import style
 from groundwalk.reports.grids import EMPTY, Grid, html_table, plain_grid
 from groundwalk.reports.templating import plain_page
-from groundwalk.scoring.bootstrap import CONFIDENCE, DRAWS, drawn_figures, draws
+from groundwalk.scoring.bootstrap import DRAWS, drawn_figures, draws, middle
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.tables import poses_of
@@ -146,23 +145,16 @@ def lost_scale(first: ComparedRun, other: ComparedRun) -> bool:
 
 
 def _subjects(first: ComparedRun, other: ComparedRun) -> Iterator[_Subject]:
-    """The first run's subjects."""
-    yield _Subject(_TRUTH, _TRUTH, *(_sigmas(run.ground_truth) for run in (first, other)))
-    for model, method in _models_and_methods(first):
-        name = f"{model}, alone" if method == _ALONE else f"{model} with {method}"
-        yield _Subject(name, _ALONE, *(_errors(run.errors, model, method) for run in (first, other)))
-
-
-def _sigmas(truth: pd.DataFrame) -> pd.DataFrame:
-    return truth.assign(scene="", position=truth["position_sd_m"], rotation=truth["rotation_sd_deg"])
-
-
-def _models_and_methods(run: ComparedRun) -> Iterator[tuple[str, str]]:
-    """Model and method: each model alone, and with the method that is ahead on frames held out of training."""
-    ahead = run.validation[run.validation["ahead"].astype(bool) & (run.validation["method"] != _ALONE)]
-    for model in dict.fromkeys(run.errors["model"]):
-        yield model, _ALONE
-        yield from ((model, method) for method in ahead.loc[ahead["model"] == model, "method"].head(1))
+    """The first run's: ground truth, and each model alone and with the method that is ahead on frames held out of
+    training."""
+    truths = (run.ground_truth for run in (first, other))
+    sigmas = (t.assign(scene="", position=t["position_sd_m"], rotation=t["rotation_sd_deg"]) for t in truths)
+    yield _Subject(_TRUTH, _TRUTH, *sigmas)
+    ahead = first.validation[first.validation["ahead"].astype(bool) & (first.validation["method"] != _ALONE)]
+    for model in dict.fromkeys(first.errors["model"]):
+        for method in (_ALONE, *ahead.loc[ahead["model"] == model, "method"].head(1)):
+            name = f"{model}, alone" if method == _ALONE else f"{model} with {method}"
+            yield _Subject(name, _ALONE, *(_errors(run.errors, model, method) for run in (first, other)))
 
 
 def _errors(errors: pd.DataFrame, model: str, method: str) -> pd.DataFrame:
@@ -198,18 +190,10 @@ def _paired(run: str, subject: _Subject, figures: list[str]) -> Iterator[Differe
         name = _NAMES[subject.kind][_COMPARED.index(figure)]
         low, high = np.nan, np.nan
         if blocks.max() + 1 >= MIN_BLOCKS:
-            low, high = _bounds(first[figure][1:], other[figure][1:])
+            before, after = first[figure][1:], other[figure][1:]  # of which two infinite errors are alike
+            low, high = middle(np.subtract(after, before, out=np.zeros(len(after)), where=after != before))
         numbers = (float(first[figure][0]), float(other[figure][0]), low, high)
         yield Difference(run, subject.name, name, len(both), *numbers, more_is_better=figure == "coverage_pct")
-
-
-def _bounds(before: Array, after: Array) -> tuple[float, float]:
-    """The middle CONFIDENCE of differences; two infinite errors are alike."""
-    equal = before == after
-    change = np.subtract(after, before, out=np.zeros(len(after)), where=~equal)
-    tail = 100 * (1 - CONFIDENCE) / 2
-    low, high = np.percentile(change, [tail, 100 - tail], method="nearest")
-    return float(low), float(high)
 
 
 def settings_that_differ(runs: list[ComparedRun]) -> Grid | None:

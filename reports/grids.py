@@ -67,9 +67,6 @@ def plain_grid(
     return Grid(key, title, caption, columns, (Block("", lines),), labels) if lines else None
 
 
-# --- Markdown ---------------------------------------------------------------------------------------------------
-
-
 def markdown(grid: Grid) -> str:
     """The table in GitHub's Markdown: a table a block, as Markdown has no headings that span."""
     names = [f"{group}: {name}" if group else name for group, name in grid.columns]
@@ -95,8 +92,6 @@ def _md_text(text: str) -> str:
         escaped = escaped.replace(character, f"\\{character}")
     return " ".join(escaped.splitlines())
 
-
-# --- LaTeX ------------------------------------------------------------------------------------------------------
 
 _LATEX = {
     "\\": r"\textbackslash{}",
@@ -156,9 +151,6 @@ def latex(grid: Grid) -> str:
     lines += [latex_text(note) + r"\par" for note in grid.notes]
     lines.append(r"\end{table*}")
     return "\n".join(lines) + "\n"
-
-
-# --- HTML -------------------------------------------------------------------------------------------------------
 
 
 def html_table(grid: Grid | None) -> Markup:

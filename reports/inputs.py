@@ -17,14 +17,7 @@ from groundwalk.store.files import STOPPED, partial_folder, read_json
 from groundwalk.store.georeference import FILE, read_georeference
 from groundwalk.store.schemas import schema
 from groundwalk.store.simulated import TRUE_POSES
-from groundwalk.store.tables import (
-    dataset_frames,
-    has_vertical,
-    map_unit,
-    poses_of,
-    scale_warning,
-    with_gravity_of_map,
-)
+from groundwalk.store.tables import dataset_frames, has_vertical, map_unit, poses_of, scale_warning, with_gravity_of_map
 from groundwalk.store.text import name_list
 from groundwalk.store.true_poses import true_poses_of
 

@@ -1,5 +1,6 @@
 """The verdict on a capture: which frames can be trusted to what, why the others can't, and where VIO drifts."""
 
+import contextlib
 import math
 from dataclasses import dataclass
 from enum import StrEnum
@@ -217,13 +218,10 @@ def _problems(scene: SceneInputs, frames: pd.DataFrame) -> list[Problem]:
     for what, quality in (("no ground truth", QualityClass.NONE), ("class C", QualityClass.C)):
         of_class = frames[(frames["quality"] == quality) & (frames["reason"] != "")]
         reasons = pd.Series(grouped_reasons(list(of_class["reason"])), dtype=object)
-        problems += [Problem(what, int(n), str(why), _advice(str(why))) for why, n in reasons.value_counts().items()]
+        for why, count in reasons.value_counts().items():
+            do = next((advice for words, advice in FRAME_ADVICE.items() if words in str(why)), "")
+            problems.append(Problem(what, int(count), str(why), do))
     return problems
-
-
-def _advice(reason: str) -> str:
-    """What makes frames with this reason better in another capture; empty where nothing is known."""
-    return next((advice for words, advice in FRAME_ADVICE.items() if words in reason), "")
 
 
 def problem_of(stopped: dict[str, Any]) -> Problem:
@@ -232,21 +230,18 @@ def problem_of(stopped: dict[str, Any]) -> Problem:
     return Problem("the capture", None, _sentence(stopped["what"], "\n".join(details)), stopped.get("do") or "")
 
 
-def _true_residuals(scene: SceneInputs) -> tuple[Array, Array]:
-    """Errors (N,) of the ground truth's positions, and of its rotations in degrees; NaN where there is none."""
+def _true_residuals(scene: SceneInputs) -> Array:
+    """Errors (2, N) of the ground truth's positions, and of its rotations in degrees; NaN where there is none."""
     map_T_cam, true_T_cam = poses_of(scene.ground_truth, "map_cam"), scene.true_T_cam
     errors = np.full((2, len(map_T_cam)), np.nan)
-    known = np.isfinite(map_T_cam).all(axis=(1, 2))
     if true_T_cam is None or scene.unit is not MapUnit.METRE or not has_vertical(scene.ground_truth):
-        return errors[0], errors[1]
-    known &= np.isfinite(true_T_cam).all(axis=(1, 2))
-    try:
+        return errors
+    known = np.isfinite(map_T_cam).all(axis=(1, 2)) & np.isfinite(true_T_cam).all(axis=(1, 2))
+    with contextlib.suppress(GeometryError):  # too few poses, or all in one place
         true_T_map = fit_yaw(true_T_cam[known, :3, 3], map_T_cam[known, :3, 3])
-    except GeometryError:  # too few poses, or all in one place
-        return errors[0], errors[1]
-    metres, radians = pose_residuals(true_T_cam[known], map_T_cam[known], true_T_map)
-    errors[:, known] = metres, np.degrees(radians)
-    return errors[0], errors[1]
+        metres, radians = pose_residuals(true_T_cam[known], map_T_cam[known], true_T_map)
+        errors[:, known] = metres, np.degrees(radians)
+    return errors
 
 
 def _true_errors(scene: SceneInputs) -> TrueErrors | None:

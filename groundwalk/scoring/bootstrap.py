@@ -58,12 +58,16 @@ def _medians(errors: Array, weights: Array) -> Array:
 def interval(values: Array) -> tuple[float | None, float | None]:
     """The middle CONFIDENCE of the values (D,); a bound is None where it is infinite or there is none."""
     known = values[~np.isnan(values)]
-    if not len(known):
-        return None, None
-    tail = 100 * (1 - CONFIDENCE) / 2
-    # The nearest value, not an interpolated one: between a number and infinity there is none.
-    low, high = np.percentile(known, [tail, 100 - tail], method="nearest")
+    low, high = middle(known) if len(known) else (np.nan, np.nan)
     return finite(low), finite(high)
+
+
+def middle(values: Array) -> tuple[float, float]:
+    """Bounds of the middle CONFIDENCE of values (D,), maybe infinite: the nearest values, not interpolated ones, as
+    between a number and infinity there is none."""
+    tail = 100 * (1 - CONFIDENCE) / 2
+    low, high = np.percentile(values, [tail, 100 - tail], method="nearest")
+    return float(low), float(high)
 
 
 def figures_by_session(
