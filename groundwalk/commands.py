@@ -35,19 +35,16 @@ VERDICT = "verdict.json"
 _NOTE = "judged.json"  # in a judgement's data folder: which file its captures are a copy of
 _JUDGED_IN = "demo"  # the profile: its settings of sfm take minutes on two cores
 _EXIT = {"accepted": 0, "undecided": 3, "refused": 4}
-CapturesOption = Annotated[
-    Path | None,
-    typer.Option(help="A folder of phone captures that the scene is to use; it is linked, not copied."),
-]
-UntilOption = Annotated[str, typer.Option(help="The last stage to run.")]
 
 
 @app.command()
 def run(
     scene: SceneOption,
     profile: ProfileOption = "demo",
-    captures: CapturesOption = None,
-    until: UntilOption = STAGES[-1],
+    captures: Annotated[
+        Path | None, typer.Option(help="A folder of phone captures that the scene is to use; it is linked, not copied.")
+    ] = None,
+    until: Annotated[str, typer.Option(help="The last stage to run.")] = STAGES[-1],
     data: DataOption = Path("data"),
 ) -> None:
     """Run all stages of a scene, or of each scene of a group and then of the group.

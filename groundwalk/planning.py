@@ -5,7 +5,7 @@ Nothing is guessed: what no finished run has measured is said not to be measured
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -29,7 +29,6 @@ from groundwalk.store.simulated import marker_of
 from groundwalk.training.regressors import REGRESSORS
 
 app = new_app("What runs would take.")
-UNMEASURED = "not measured"
 _PAPER = "paper"  # the group of the paper's scenes
 
 
@@ -42,11 +41,11 @@ class Estimate:
     stage: str
     runs: int
     frames: int | None
-    minutes: float | None
-    gpu_hours: float | None
-    disk_gib: float | None
-    peak_mib: float | None
     by: str
+    minutes: float | None = None
+    gpu_hours: float | None = None
+    disk_gib: float | None = None
+    peak_mib: float | None = None
 
 
 @app.command("plan")
@@ -92,30 +91,25 @@ def _estimate(profile: str, stage: str, scenes: list[str], data: DataRoot) -> Es
     counts = {scene: _planned_frames(profile, scene, data) for scene in scenes}
     known = [count for count in counts.values() if count is not None]
     total = sum(known) if len(known) == len(counts) else None
+    estimate = Estimate(profile, stage, len(scenes), total, "not measured")
     runs = _comparable(profile, [] if stage == "simulate" else finished_stages(data, stage), data)
     if not runs:
-        return Estimate(profile, stage, len(scenes), total, None, None, None, None, UNMEASURED)
-    frames = sum(_frames(run, data) for run in runs)
-    gpu = _gpu(runs[0])
-    of = runs[0].folder.parents[1].name
-    by = f"{len(runs)} of profile {of}, {frames:,} frames, {runs[0].manifest.get('machine')}{gpu and f', {gpu}'}"
+        return estimate
     if total is None:
         unknown = ", ".join(scene for scene, count in counts.items() if count is None)
-        return Estimate(profile, stage, len(scenes), None, None, None, None, None, f"import first, to count: {unknown}")
+        return replace(estimate, by=f"import first, to count: {unknown}")
+    frames, gpu, of = sum(_frames(run, data) for run in runs), _gpu(runs[0]), runs[0].folder.parents[1].name
     seconds: float | None = sum(run.seconds for run in runs) / frames * total
     if stage == "train":
         seconds = _training_seconds(profile, {s: c for s, c in counts.items() if c is not None}, runs, frames, data)
     disk = sum(path.stat().st_size for run in runs for path in run.folder.rglob("*") if path.is_file())
-    return Estimate(
-        profile,
-        stage,
-        len(scenes),
-        total,
-        None if seconds is None else seconds / 60,
-        None if seconds is None or not gpu else seconds / 3600,
-        disk / frames * total / 2**30,
-        max(run.mib for run in runs),
-        by,
+    return replace(
+        estimate,
+        by=f"{len(runs)} of profile {of}, {frames:,} frames, {runs[0].manifest.get('machine')}{gpu and f', {gpu}'}",
+        minutes=None if seconds is None else seconds / 60,
+        gpu_hours=None if seconds is None or not gpu else seconds / 3600,
+        disk_gib=disk / frames * total / 2**30,
+        peak_mib=max(run.mib for run in runs),
     )
 
 
