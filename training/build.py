@@ -27,21 +27,15 @@ class Trained(NamedTuple):
     """images are turned about their middle until gravity points down; the poses are those of the turned camera"""
 
 
+_ABOUT = Trained._fields[1:]
+
+
 def save_trained(path: Path, name: str, settings: RegressorSettings, trained: Trained) -> None:
     """Write a weights file that `load_trained` can make the model from, without anything else."""
     path.parent.mkdir(exist_ok=True)
-    content = {
-        "model": name,
-        "settings": settings.model_dump(),
-        "scenes": trained.scenes,
-        "resize": trained.resize,
-        "crop": trained.crop,
-        "focal_px": trained.focal_px,
-        "width": trained.width,
-        "upright": trained.upright,
-        "state": {key: tensor.cpu().contiguous() for key, tensor in trained.model.state_dict().items()},
-    }
-    torch.save(content, path)
+    state = {key: tensor.cpu().contiguous() for key, tensor in trained.model.state_dict().items()}
+    about = {key: getattr(trained, key) for key in _ABOUT}
+    torch.save({"model": name, "settings": settings.model_dump(), **about, "state": state}, path)
 
 
 def load_trained(path: Path) -> Trained:
@@ -57,7 +51,7 @@ def load_trained(path: Path) -> Trained:
     try:
         model = regressor.make(regressor.settings.model_validate(content["settings"]), len(content["scenes"]), True)
         model.load_state_dict(state)
-        about = [content[key] for key in ("scenes", "resize", "crop", "focal_px", "width", "upright")]
+        about = [content[key] for key in _ABOUT]
     except (RuntimeError, KeyError, TypeError, ValueError) as error:
         raise UserError(
             "the weights don't fit the model that their file names",

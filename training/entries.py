@@ -2,11 +2,7 @@
 
 from groundwalk.store import colours
 from groundwalk.store.registry import Lazy
-from groundwalk.training.regressor_settings import (
-    LiteSettings,
-    MSTransformerSettings,
-    PoseNetSettings,
-)
+from groundwalk.training.regressor_settings import LiteSettings, MSTransformerSettings, PoseNetSettings
 from groundwalk.training.regressors import Regressor
 
 PN = Regressor(

@@ -44,7 +44,6 @@ def errors(
 
 def mean_pose_errors(training: Frames, tested: Frames) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Errors of always answering the mean position and mean rotation (Gramkow's) of the training frames."""
-    position = training.position_N3.mean(axis=0)
-    quaternion = quaternion_mean(training.quaternion_N4)
-    count = len(tested)
-    return errors(np.tile(position, (count, 1)), np.tile(quaternion, (count, 1)), tested)
+    means = training.position_N3.mean(axis=0), quaternion_mean(training.quaternion_N4)
+    position, quaternion = (np.tile(mean, (len(tested), 1)) for mean in means)
+    return errors(position, quaternion, tested)

@@ -74,13 +74,17 @@ def record(
             frame = frames.iloc[row]
             stream.set_time(FRAME_TIMELINE, sequence=number)
             set_time(stream, int(frame["t_ns"]) - starts[row])
-            if np.isfinite(map_T_cam[row]).all():
+            has_truth = np.isfinite(map_T_cam[row]).all()
+            if has_truth:
                 log_camera(stream, f"/{scene}/ground_truth/now", map_T_cam[row], frame, colours.GROUND_TRUTH, 1.0)
             for model, estimate in estimates.items():
                 if not np.isfinite(estimate[row]).all():
                     continue
                 log_camera(stream, f"/{scene}/{model}/now", estimate[row], frame, shades[model], 1.0)
-                _log_errors(stream, f"/{scene}", model, map_T_cam[row], estimate[row])
+                if has_truth:
+                    metres, degrees = (e(estimate[row], map_T_cam[row]) for e in (position_error, rotation_error_deg))
+                    stream.log(f"/{scene}/position_error_m/{model}", rr.Scalars(float(metres)))
+                    stream.log(f"/{scene}/rotation_error_deg/{model}", rr.Scalars(float(degrees)))
             if number % every == 0:
                 image = cache[int(row)]
                 top, left = (image.shape[0] - crop) // 2, (image.shape[1] - crop) // 2
@@ -95,9 +99,3 @@ def record(
             both = both[(frames["split"].to_numpy()[rows] == "test") & np.isfinite(both).all(axis=(1, 2))]
             lines = rr.LineStrips3D(both, colors=shades[model], radii=rr.Radius.ui_points(0.5))
             stream.log(f"/{scene}/{model}/test_errors", lines, static=True)
-
-
-def _log_errors(stream: rr.RecordingStream, at: str, model: str, true: np.ndarray, estimate: np.ndarray) -> None:
-    if np.isfinite(true).all():
-        stream.log(f"{at}/position_error_m/{model}", rr.Scalars(float(position_error(estimate, true))))
-        stream.log(f"{at}/rotation_error_deg/{model}", rr.Scalars(float(rotation_error_deg(estimate, true))))

@@ -42,8 +42,7 @@ class TrainSettings(Settings):
         " same to rounding (docs/explanation/training.md)",
     )
     precision: Literal["auto", "fp32", "bf16"] = Field(
-        "auto",
-        description="of training; auto: bf16 (bfloat16) where the processor has units for it, else fp32",
+        "auto", description="of training; auto: bf16 (bfloat16) where the processor has units for it, else fp32"
     )
     regressors: dict[str, SerializeAsAny[RegressorSettings]] = Field(
         default_factory=dict,

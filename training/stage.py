@@ -93,7 +93,8 @@ def run(r: StageRun[TrainSettings]) -> None:
         warn_of_borders(r, frames, focal)
     with r.step("images"):
         sides = sorted({r.settings.resize, *(short_side(r.settings, model) for model in models)})
-        data = {side: read_images(r, frames, focal, side) for side in sides}
+        caches = {s: ImageCache.build(r.scratch / f"images-{s}", small_images(r, frames, focal, s)) for s in sides}
+        data = {side: as_training_frames(frames, cache, focal) for side, cache in caches.items()}
     report_mean_pose(r, frames, data[r.settings.resize])
 
     faults: list[PluginError] = []
@@ -115,7 +116,7 @@ def run(r: StageRun[TrainSettings]) -> None:
     write_results(r, frames, data[r.settings.resize].cache, results)
 
 
-def choose_device(wanted: str, count: int = 1) -> torch.device:
+def choose_device(wanted: str, count: int) -> torch.device:
     """The device to train on; UserError where a GPU is asked for and there is none, or not one for each process."""
     if wanted == "cuda" and not torch.cuda.is_available():
         raise UserError(
@@ -165,12 +166,6 @@ def models_of(r: StageRun[TrainSettings]) -> list[str]:
 def short_side(settings: TrainSettings, model: str) -> int:
     """Pixels on the shorter side of the images that a model sees."""
     return REGRESSORS.find(model).whole_image_px or settings.resize
-
-
-def read_images(r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float | None, side: int) -> Frames:
-    """The frames with their images of that shorter side, decoded once."""
-    cache = ImageCache.build(r.scratch / f"images-{side}", small_images(r, frames, focal, side))
-    return as_training_frames(frames, cache, focal)
 
 
 def view_of(settings: TrainSettings, model: str, training: Frames) -> View:
@@ -225,13 +220,9 @@ def train_all(r: StageRun[TrainSettings], jobs: list[Job], faults: list[PluginEr
         title, count = f"training {', '.join(job.run.title for job in jobs)}", r.settings.processes
         with tempfile.TemporaryDirectory() as meetings:
             tasks = [
-                Task(
-                    _train,
-                    (job, r.settings.threads, processes.Part(rank, count, Path(meetings, job.run.title))),
-                    0 if rank else job.run.settings.epochs,
-                )
+                Task(_train, (job, r.settings.threads, part), 0 if part.rank else job.run.settings.epochs)
                 for job in jobs
-                for rank in range(count)
+                for part in (processes.Part(rank, count, Path(meetings, job.run.title)) for rank in range(count))
             ]
             ended = in_children(title, r.scratch / "log.txt", _TOO_LITTLE, tasks)[::count]
     faults += [fault for fault in ended if fault is not None]
@@ -245,14 +236,10 @@ def _train(report: Report, job: Job, threads: int, part: processes.Part) -> Plug
     faults: list[PluginError] = []
     with left_out(job.run.title, faults), processes.joined(part, job.run.device) as device:
         run = replace(job.run, device=device)
-        train(report if not part.rank else _no_report, job.model(), job.training, job.held_out, run)
+        train((lambda done, note="": None) if part.rank else report, job.model(), job.training, job.held_out, run)
     if faults and part.count > 1:
         raise faults[0]
     return faults[0] if faults else None
-
-
-def _no_report(done: int, note: str = "") -> None:
-    """Progress of a process beside the first one."""
 
 
 def finish(r: StageRun[TrainSettings], job: Job, data: Frames, frames: pd.DataFrame, focal: float | None) -> Result:

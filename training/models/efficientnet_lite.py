@@ -59,12 +59,11 @@ class EfficientNetLite0(nn.Module):
     def __init__(self, classes: int = 0) -> None:
         super().__init__()
         self.stem = SameConv(3, _STEM_CHANNELS, 3, 2)
-        blocks, channels_in = [], _STEM_CHANNELS
+        self.blocks, channels_in = nn.ModuleList(), _STEM_CHANNELS
         for spec in STAGES:
             for i in range(spec.blocks):
-                blocks.append(LiteBlock(channels_in, spec, spec.stride if i == 0 else 1))
+                self.blocks.append(LiteBlock(channels_in, spec, spec.stride if i == 0 else 1))
                 channels_in = spec.channels
-        self.blocks = nn.ModuleList(blocks)
         if classes:
             self.head = SameConv(channels_in, HEAD_CHANNELS, 1)
             self.classifier = nn.Linear(HEAD_CHANNELS, classes)
