@@ -9,15 +9,7 @@ import typer
 from groundwalk.simulation.scenes import NAMES
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.simulate import simulate
-from groundwalk.store.cli import (
-    DataOption,
-    ProfileOption,
-    SceneOption,
-    SeedOption,
-    SetOption,
-    new_app,
-    settings_help,
-)
+from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, SeedOption, SetOption, new_app, settings_help
 from groundwalk.store.settings import DataRoot
 
 _HELP = (

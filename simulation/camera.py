@@ -102,12 +102,7 @@ def auto_exposure(brightness: Array, step_s: float, indoor: bool, rng: np.random
 
 
 def expose(
-    rendering: Rendering,
-    view: View,
-    velocity_cam: Array,
-    spin_cam: Array,
-    exposure: Exposure,
-    rng: np.random.Generator,
+    rendering: Rendering, view: View, velocity_cam: Array, spin_cam: Array, exposure: Exposure, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
     """The 8-bit BGR image of a sharp rendering from the middle of the exposure.
 

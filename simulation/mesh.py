@@ -33,10 +33,7 @@ def build_mesh(place: Place, texel_m: float, seed: int, track: Track = lambda it
     vertices = np.concatenate([quad_points.reshape(-1, 3), *crown_points])
     loose = np.arange(quad_points.size // 3, len(vertices)).reshape(-1, 3)
     triangles = np.concatenate([quad_triangles, loose])
-    glass = np.repeat(
-        [q.glass for q in place.quads] + [False] * len(place.crowns),
-        [2] * len(place.quads) + [len(c.triangles_T33) for c in place.crowns],
-    )
+    glass = np.concatenate([np.repeat([q.glass for q in place.quads], 2), np.zeros(len(loose), bool)])
     # Panes let the light through, so they cast no shadow.
     caster = Caster(vertices, triangles[~glass])
 

@@ -261,11 +261,7 @@ def _edges(surface: NDArray[np.int64], depth: F32) -> NDArray[np.bool_]:
     """Pixels beside a neighbour on another surface, or across a jump in depth."""
     edge = np.zeros(surface.shape, bool)
     near = np.where(np.isfinite(depth), depth, 1e4)
-    for axis in (0, 1):
-        first = [slice(None), slice(None)]
-        second = [slice(None), slice(None)]
-        first[axis], second[axis] = slice(None, -1), slice(1, None)
-        f, s = tuple(first), tuple(second)
+    for f, s in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
         apart = (surface[f] != surface[s]) | (np.abs(near[f] - near[s]) > _DEPTH_EDGE * np.minimum(near[f], near[s]))
         edge[f] |= apart
         edge[s] |= apart

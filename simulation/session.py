@@ -118,7 +118,6 @@ def plan_session(
     sky_seed = int(seeds.generate_state(1)[0])
 
     meter_t = np.arange(0, duration + _METER_STEP_S, _METER_STEP_S)
-    place = scenery.place
     grey = _meter(renderer, walk.world_T_cam(meter_t), Sky(sky_seed, plan.boot_s))
     brightness = np.interp(t, meter_t, grey)
     exposures = camera.auto_exposure(brightness, 1 / settings.rate_hz, indoor, light_seed)
@@ -145,7 +144,7 @@ def plan_session(
             exposure=exposures[i],
             sky_seed=sky_seed,
             clock_s=float(t[i]),
-            noise_seed=zlib.crc32(f"{seed}/{place.name}/{plan.name}/{i}".encode()),
+            noise_seed=zlib.crc32(f"{seed}/{scenery.place.name}/{plan.name}/{i}".encode()),
         )
         for i in frames.image_indices
     ]
@@ -162,11 +161,14 @@ def _frame_times(count: int, rate_hz: float, rng: np.random.Generator) -> Vec:
 def _truth(walk: PlannedWalk, t: Vec, logged_N4: Vec, focus: Vec, phone: Phone) -> Truth:
     """The truth of poses logged at t (N,) with intrinsics logged_N4, whose focal length is off by the factor focus."""
     middle = t - phone.time_offset_s
-    velocity, spin = _motion(*(walk.world_T_cam(middle + d) for d in (-_MOTION_S / 2, 0.0, _MOTION_S / 2)))
+    before, now, after = (walk.world_T_cam(middle + d) for d in (-_MOTION_S / 2, 0.0, _MOTION_S / 2))
+    velocity = np.einsum("nji,nj->ni", now[:, :3, :3], after[:, :3, 3] - before[:, :3, 3]) / _MOTION_S
+    turn = (inverse(before) @ after)[:, :3, :3]
+    spin = np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], 1)
     # The JSON holds single precision, and the image is to agree with it.
     intrinsics = logged_N4.astype(np.float32).astype(np.float64)
     intrinsics[:, :2] *= focus[:, None]
-    return Truth(walk.world_T_cam(middle), velocity, spin, intrinsics, phone)
+    return Truth(now, velocity, spin / 2 / _MOTION_S, intrinsics, phone)
 
 
 def _view(truth: Truth, i: int, walk: PlannedWalk, t: float, settings: SimulateSettings) -> View:
@@ -187,14 +189,6 @@ def take(shot: Shot, renderer: Renderer, settings: SimulateSettings) -> None:
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     with written_aside(shot.path) as partial:
         partial.write_bytes(data.tobytes())
-
-
-def _motion(before: Vec, now: Vec, after: Vec) -> tuple[Vec, Vec]:
-    """Velocity (m/s) and spin (rad/s), both (N, 3), in the axes of poses `now`, from those _MOTION_S / 2 around."""
-    velocity = np.einsum("nji,nj->ni", now[:, :3, :3], after[:, :3, 3] - before[:, :3, 3]) / _MOTION_S
-    turn = (inverse(before) @ after)[:, :3, :3]
-    spin = np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], 1)
-    return velocity, spin / 2 / _MOTION_S
 
 
 def _meter(renderer: Renderer, world_T_cam: Vec, sky: Sky) -> Vec:

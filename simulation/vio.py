@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from groundwalk.geometry.poses import Array, inverse, make_pose, yaw_rotation
+from groundwalk.geometry.poses import Array, inverse, make_pose, path_length, yaw_rotation
 
 Times = NDArray[np.int64]
 
@@ -106,7 +106,7 @@ def _drifted(truth: Array, seed: int, model: VioModel) -> Array:
     """The true walk (N, 4, 4) deformed by scale, gravity, yaw and position errors, in the session's frame."""
     true_T_cam = inverse(start_frame(truth[0])) @ truth
     steps = np.diff(true_T_cam[:, :3, 3], axis=0)
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
+    along = path_length(true_T_cam[:, :3, 3])
 
     session = np.random.default_rng([seed, _SESSION])
     scale = np.exp(model.scale_std * session.standard_normal())

@@ -40,8 +40,7 @@ def _floor(c: Canvas) -> None:
             c.disc(x, y, 2.4 - 0.55 * ring, details.bright(c.rng) if ring % 2 == 0 else (190, 196, 200))
         details.emblem(c, x, y, 0.9)
         c.text(x - 2, y - 3.2, 0.6, f"{details.word(c.rng)} {k}", (60, 70, 80), 4.0)
-    veins = c.noise((0.05, 0.15, 0.5))
-    c.add(veins, (8, 8, 8))
+    c.add(c.noise((0.05, 0.15, 0.5)), (8, 8, 8))
     materials.litter(c, 0.5)
 
 
@@ -120,11 +119,9 @@ def _long_wall(b: Builder, name: str, x: float, z: float, towards_east: bool) ->
             ends = [-e for e in ends]
         left, right = (x, ends[0]), (x, ends[1])
         b.wall(f"{name}.low{k}", left, right, 0, _STOREY_M, _shopfront(materials_low[k]))
-        upper = Hung(materials_low[(k + 2) % pieces], 0.2, 0.3, 0.3)
-        b.wall(f"{name}.mid{k}", left, right, _STOREY_M, 2 * _STOREY_M, _shopfront(upper.wall), 1.5)
-        b.wall(
-            f"{name}.high{k}", left, right, 2 * _STOREY_M, _HEIGHT_M, _shopfront(materials_low[(k + 1) % pieces]), 1.5
-        )
+        middle, upper = (_shopfront(materials_low[(k + i) % pieces]) for i in (2, 1))
+        b.wall(f"{name}.mid{k}", left, right, _STOREY_M, 2 * _STOREY_M, middle, 1.5)
+        b.wall(f"{name}.high{k}", left, right, 2 * _STOREY_M, _HEIGHT_M, upper, 1.5)
     edge = materials.masonry(0.35, 1.5, [(186, 192, 196), (160, 168, 174)], (90, 92, 94), 0.02, 14, 0.4)
     centre = (x + inward * 1.1, 0.0)
     b.box(f"{name}.gallery", centre, (2.2, 0.35, 2 * z), edge, bottom=_STOREY_M, faces="lrtu", solid=False)
@@ -135,43 +132,31 @@ def _long_wall(b: Builder, name: str, x: float, z: float, towards_east: bool) ->
 
 
 def _columns(b: Builder) -> None:
+    def coat(c: Canvas) -> None:
+        materials.marble((186, 192, 194), (110, 118, 126))(c)
+        for _ in range(2):
+            details.notice(c, 0.02, c.rng.uniform(1.0, 2.0), max(0.1, c.width_m - 0.04), 0.26)
+        c.box(0, 2.6, c.width_m, 2.85, details.bright(c.rng))
+
     for side in (-1, 1):
         for k in range(7):
-            at = (side * 12.4, -21 + 7.0 * k)
-
-            def coat(c: Canvas) -> None:
-                materials.marble((186, 192, 194), (110, 118, 126))(c)
-                for _ in range(2):
-                    details.notice(c, 0.02, c.rng.uniform(1.0, 2.0), max(0.1, c.width_m - 0.04), 0.26)
-                c.box(0, 2.6, c.width_m, 2.85, details.bright(c.rng))
-
-            b.column(f"column{side}{k}", at, 0.4, _STOREY_M, coat, sides=8)
+            b.column(f"column{side}{k}", (side * 12.4, -21 + 7.0 * k), 0.4, _STOREY_M, coat, sides=8)
 
 
 def _furniture(b: Builder) -> None:
     def counter(c: Canvas) -> None:
         materials.wood((70, 106, 150), 0.2)(c)
-        c.text(
-            0.3,
-            c.height_m * 0.45,
-            0.3,
-            f"{details.word(c.rng)} {details.word(c.rng)}",
-            (235, 240, 240),
-            c.width_m - 0.6,
-        )
+        text = f"{details.word(c.rng)} {details.word(c.rng)}"
+        c.text(0.3, c.height_m * 0.45, 0.3, text, (235, 240, 240), c.width_m - 0.6)
         details.notice(c, 0.1, 0.2, 0.3, 0.4)
         details.emblem(c, c.width_m - 0.3, 0.6, 0.2)
 
     b.box("reception", (0, -13.5), (5.0, 1.15, 1.2), counter)
-    b.box("reception.back", (0, -15.0), (4.0, 2.4, 0.25), lambda c: Hung(SANDSTONE, 0.5, 0.5, 0.5).paint(c))
-    for k, (x, z) in enumerate(
-        ((-4.5, -6), (4.5, -5), (-4.0, 4.5), (4.8, 6), (-5, 15), (4.6, 16.5), (-11.4, -1.5), (11.2, 2.5))
-    ):
-        planter(b, f"planter{k}", (x, z), 20.0 * k)
-    for k, (x, z, yaw) in enumerate(
-        ((-2.5, 1.0, 0), (2.5, 1.5, 180), (-2.2, 11.5, 20), (2.4, 11.0, 200), (-6, -19.5, 0), (10, 21.5, 180))
-    ):
-        b.bench(f"bench{k}", (x, z), yaw)
+    b.box("reception.back", (0, -15.0), (4.0, 2.4, 0.25), Hung(SANDSTONE, 0.5, 0.5, 0.5).paint)
+    places = ((-4.5, -6), (4.5, -5), (-4.0, 4.5), (4.8, 6), (-5, 15), (4.6, 16.5), (-11.4, -1.5), (11.2, 2.5))
+    for k, at in enumerate(places):
+        planter(b, f"planter{k}", at, 20.0 * k)
+    b.benches((-2.5, 1.0, 0), (2.5, 1.5, 180), (-2.2, 11.5, 20), (2.4, 11.0, 200), (-6, -19.5, 0), (10, 21.5, 180))
     b.tree("ficus0", (0.0, -3.5), 5.5, spread=1.3)
     b.tree("ficus1", (0.2, 7.0), 5.0, spread=1.2)
     b.tree("ficus2", (0.0, 17.2), 5.2, spread=1.2)

@@ -1,7 +1,7 @@
 """Bar: bars and shops around a block of houses, with terraces, umbrellas and parked vans, 55 by 35 m."""
 
 from groundwalk.simulation import details, materials
-from groundwalk.simulation.canvas import Bgr, Canvas
+from groundwalk.simulation.canvas import Canvas
 from groundwalk.simulation.place import Light, Place, Xz
 from groundwalk.simulation.scenes import parts
 from groundwalk.simulation.scenes.builder import Builder
@@ -19,16 +19,11 @@ def build(seed: int) -> Place:
     _terraces(b)
     for k, at in enumerate(((-20.5, -13), (-22.5, 12.6), (21.5, -12.8), (22.4, 12.4), (24.3, 1), (-24.4, -2))):
         b.tree(f"tree{k}", at, b.rng.uniform(5, 6.8))
-    for k, at in enumerate(
-        ((-9, 13.9), (6.5, 14.2), (-6, -14), (10, -14), (-24, 6), (24, -6.5), (-13.2, 5.4), (13, -5.6))
-    ):
-        b.lamp_post(f"lamp{k}", at)
+    b.lamp_posts((-9, 13.9), (6.5, 14.2), (-6, -14), (10, -14), (-24, 6), (24, -6.5), (-13.2, 5.4), (13, -5.6))
     for k, (x, z, yaw) in enumerate(((-14.5, 14.9, 2), (15, -15, -2), (24.6, 7.2, 90))):
         parts.car(b, f"van{k}", (x, z), yaw)
-    for k, (x, z, yaw) in enumerate(((-23.6, -7.5, 90), (23.4, -9.8, -60), (1.5, 14.4, 180))):
-        b.bench(f"bench{k}", (x, z), yaw)
-    for k, at in enumerate(((-18, 14.8), (18.5, 14.6), (-11.5, -14.4))):
-        parts.bin_(b, f"bin{k}", at)
+    b.benches((-23.6, -7.5, 90), (23.4, -9.8, -60), (1.5, 14.4, 180))
+    parts.bins(b, (-18, 14.8), (18.5, 14.6), (-11.5, -14.4))
     parts.kiosk(b, (-21.5, 4.0), 80)
     return b.place
 
@@ -110,17 +105,14 @@ def _terraces(b: Builder) -> None:
 
 def _table(b: Builder, name: str, at: Xz, umbrella: bool) -> None:
     turn = float(b.rng.uniform(0, 90))
-    b.box(
-        f"{name}.top", at, (0.8, 0.06, 0.8), materials.wood((70, 100, 140)), bottom=0.72, yaw_deg=turn, faces="fblrtu"
-    )
+    wood = materials.wood((70, 100, 140))
+    b.box(f"{name}.top", at, (0.8, 0.06, 0.8), wood, bottom=0.72, yaw_deg=turn, faces="fblrtu")
     b.box(f"{name}.leg", at, (0.1, 0.72, 0.1), materials.plain((50, 50, 54)), yaw_deg=turn)
-    seat: Bgr = details.bright(b.rng)
+    seat = materials.plain(details.bright(b.rng))
     for k, (dx, dz) in enumerate(((0.75, 0.1), (-0.75, -0.1))):
-        chair = (at[0] + dx, at[1] + dz)
-        b.box(f"{name}.chair{k}", chair, (0.42, 0.46, 0.42), materials.plain(seat), yaw_deg=turn)
-        b.box(
-            f"{name}.back{k}", (chair[0] + dx * 0.25, chair[1]), (0.06, 0.5, 0.42), materials.plain(seat), bottom=0.46
-        )
+        x, z = at[0] + dx, at[1] + dz
+        b.box(f"{name}.chair{k}", (x, z), (0.42, 0.46, 0.42), seat, yaw_deg=turn)
+        b.box(f"{name}.back{k}", (x + dx * 0.25, z), (0.06, 0.5, 0.42), seat, bottom=0.46)
     if umbrella:
         tone = details.bright(b.rng)
 

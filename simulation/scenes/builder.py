@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,26 +138,27 @@ class Builder:
         self.block(low, (centre[0] + radius, bottom + 1.6 * radius, centre[1] + radius))
 
     def _add_crown(self, name: str, centre: Vec, radius: float, paint: Material) -> None:
-        vertices, faces = _icosphere(2)
+        vertices, faces = _icosphere()
         bumps = 1 + 0.13 * self.rng.standard_normal(len(vertices))
         shape = centre + vertices * (radius * bumps)[:, None] * [1, 0.85, 1]
         self.place.crowns.append(Crown(name, shape[faces], paint))
 
-    def bench(self, name: str, centre: Xz, yaw_deg: float) -> None:
-        """A park bench with a back; one sits looking along +z before it is turned."""
-        turn = math.radians(yaw_deg)
-        boards = wood(((40, 70, 110), (60, 90, 120), (50, 90, 60))[self.rng.integers(3)], 0.1)
-        back = (centre[0] - 0.22 * math.sin(turn), centre[1] - 0.22 * math.cos(turn))
-        self.box(f"{name}.seat", centre, (1.7, 0.07, 0.45), boards, bottom=0.42, yaw_deg=yaw_deg, faces="fblrtu")
-        self.box(f"{name}.back", back, (1.7, 0.42, 0.06), boards, bottom=0.52, yaw_deg=yaw_deg)
-        for side in (-0.7, 0.7):
-            leg = (centre[0] + side * math.cos(turn), centre[1] - side * math.sin(turn))
-            size = (0.08, 0.42, 0.4)
-            self.box(f"{name}.leg{side}", leg, size, plain((50, 50, 50)), yaw_deg=yaw_deg)
+    def benches(self, *places: tuple[float, float, float]) -> None:
+        """Park benches with a back at (x, z, yaw in degrees); one sits looking along +z before it is turned."""
+        for k, (x, z, yaw) in enumerate(places):
+            turn = math.radians(yaw)
+            boards = wood(((40, 70, 110), (60, 90, 120), (50, 90, 60))[self.rng.integers(3)], 0.1)
+            back = (x - 0.22 * math.sin(turn), z - 0.22 * math.cos(turn))
+            self.box(f"bench{k}.seat", (x, z), (1.7, 0.07, 0.45), boards, bottom=0.42, yaw_deg=yaw, faces="fblrtu")
+            self.box(f"bench{k}.back", back, (1.7, 0.42, 0.06), boards, bottom=0.52, yaw_deg=yaw)
+            for side in (-0.7, 0.7):
+                leg = (x + side * math.cos(turn), z - side * math.sin(turn))
+                self.box(f"bench{k}.leg{side}", leg, (0.08, 0.42, 0.4), plain((50, 50, 50)), yaw_deg=yaw)
 
-    def lamp_post(self, name: str, centre: Xz, height: float = 4.0) -> None:
-        self.column(f"{name}.pole", centre, 0.08, height, _stickered((60, 64, 60)), sides=6)
-        self.box(f"{name}.light", centre, (0.35, 0.5, 0.35), plain((190, 220, 225)), bottom=height, solid=False)
+    def lamp_posts(self, *places: Xz, height: float = 4.0) -> None:
+        for k, at in enumerate(places):
+            self.column(f"lamp{k}.pole", at, 0.08, height, _stickered((60, 64, 60)), sides=6)
+            self.box(f"lamp{k}.light", at, (0.35, 0.5, 0.35), plain((190, 220, 225)), bottom=height, solid=False)
 
 
 @material
@@ -168,8 +170,8 @@ def _stickered(c: Canvas, colour: Bgr) -> None:
         c.box(0, y, c.width_m, y + c.rng.uniform(0.05, 0.12), (blue, green, red))
 
 
-def _icosphere(levels: int) -> tuple[Vec, NDArray[np.int64]]:
-    """Vertices (V, 3) of the unit sphere and faces (F, 3), outward, an icosahedron split `levels` times."""
+def _icosphere() -> tuple[Vec, NDArray[np.int64]]:
+    """Vertices (V, 3) of the unit sphere and faces (F, 3), outward, an icosahedron split twice."""
     g = (1 + math.sqrt(5)) / 2
     raw: list[tuple[float, float, float]] = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g)]
     raw += [(0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]
@@ -177,20 +179,18 @@ def _icosphere(levels: int) -> tuple[Vec, NDArray[np.int64]]:
     faces = [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2)]
     faces += [(10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11)]
     faces += [(6, 2, 10), (8, 6, 7), (9, 8, 1)]
-    for _ in range(levels):
-        halves: dict[tuple[int, int], int] = {}
 
-        def half(i: int, j: int, halves: dict[tuple[int, int], int] = halves) -> int:
-            key = (min(i, j), max(i, j))
-            if key not in halves:
-                middle = points[i] + points[j]
-                halves[key] = len(points)
-                points.append(middle / np.linalg.norm(middle))
-            return halves[key]
+    @cache
+    def half(edge: frozenset[int]) -> int:
+        i, j = edge
+        middle = points[i] + points[j]
+        points.append(middle / np.linalg.norm(middle))
+        return len(points) - 1
 
+    for _ in range(2):
         split = []
         for i, j, k in faces:
-            a, b, c = half(i, j), half(j, k), half(k, i)
+            a, b, c = (half(frozenset(edge)) for edge in ((i, j), (j, k), (k, i)))
             split += [(i, a, c), (j, b, a), (k, c, b), (a, b, c)]
         faces = split
     return np.array(points), np.array(faces)

@@ -3,7 +3,7 @@
 import math
 
 from groundwalk.simulation import details, materials
-from groundwalk.simulation.canvas import Canvas, Material
+from groundwalk.simulation.canvas import Canvas
 from groundwalk.simulation.place import Light, Place
 from groundwalk.simulation.scenes import parts
 from groundwalk.simulation.scenes.builder import Builder
@@ -31,9 +31,8 @@ def _ground(c: Canvas) -> None:
         points = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
         c.area(points, materials.grass if name != "b" else materials.gravel)
         c.line([*points, points[0]], 0.18, (150, 156, 160))
-    slabs = materials.masonry(
-        0.6, 0.9, [(160, 168, 172), (142, 150, 156), (172, 176, 178)], (90, 94, 96), 0.02, 12, 0.3
-    )
+    tones = [(160, 168, 172), (142, 150, 156), (172, 176, 178)]
+    slabs = materials.masonry(0.6, 0.9, tones, (90, 94, 96), 0.02, 12, 0.3)
     c.area([(31, 19), (38, 19), (38, 25), (31, 25)], slabs)
     c.area([(1, 0.5), (53, 0.5), (53, 3.2), (1, 3.2)], materials.asphalt)
     for k in range(14):
@@ -66,16 +65,9 @@ def _west_front(c: Canvas) -> None:
     for k in range(5):
         inset = 0.14 * k
         tone = 200 - 30 * k
-        c.polygon(
-            [
-                (w / 2 - 1.6 + inset, 0),
-                (w / 2 + 1.6 - inset, 0),
-                (w / 2 + 1.6 - inset, 2.6),
-                (w / 2, 3.9 - inset),
-                (w / 2 - 1.6 + inset, 2.6),
-            ],
-            (tone * 0.8, tone * 0.92, tone),
-        )
+        left, right = w / 2 - 1.6 + inset, w / 2 + 1.6 - inset
+        arch = [(left, 0), (right, 0), (right, 2.6), (w / 2, 3.9 - inset), (left, 2.6)]
+        c.polygon(arch, (tone * 0.8, tone * 0.92, tone))
     details.door(c, w / 2 - 0.85, 1.7, 2.5, (40, 62, 96))
     for x in (0.8, w - 1.9):
         details.arched_window(c, x, 1.8, 1.0, 2.6)
@@ -142,37 +134,26 @@ def _surroundings(b: Builder) -> None:
     same = Facade(materials.plaster((190, 200, 204), 0.8), 3, same=True, posters=1)
     blank = Facade(materials.plaster((206, 214, 216), 0.25), 2, pitch_m=7.0, posters=0)
     rubble = Facade(parts.RUBBLE, 2, window_m=(0.8, 1.1), pitch_m=3.0)
-    parts.row_of_houses(
-        b, "north", (-25, -20), (25, -20), [red, yellow, same, cream, stone, blue, pink], [7, 7, 9, 7, 6, 8, 6]
-    )
-    parts.row_of_houses(
-        b, "east", (25, -20), (25, 20), [timber, dark, blank, yellow, rubble, cream], [6, 8, 5, 8, 6, 7]
-    )
-    parts.row_of_houses(
-        b, "south", (25, 20), (-25, 20), [pink, rubble, blue, red, same, timber, stone], [7, 7, 8, 8, 7, 6, 7]
-    )
-    parts.row_of_houses(b, "west", (-25, 20), (-25, -20), [dark, cream, pink, yellow, red], [8, 7, 8, 8, 9])
+    row = parts.row_of_houses
+    row(b, "north", (-25, -20), (25, -20), [red, yellow, same, cream, stone, blue, pink], [7, 7, 9, 7, 6, 8, 6])
+    row(b, "east", (25, -20), (25, 20), [timber, dark, blank, yellow, rubble, cream], [6, 8, 5, 8, 6, 7])
+    row(b, "south", (25, 20), (-25, 20), [pink, rubble, blue, red, same, timber, stone], [7, 7, 8, 8, 7, 6, 7])
+    row(b, "west", (-25, 20), (-25, -20), [dark, cream, pink, yellow, red], [8, 7, 8, 8, 9])
 
 
 def _yard(b: Builder) -> None:
     for k, at in enumerate(((-18.5, 13), (-14, 13.4), (17, -2.4), (19.5, 3.0), (1, -14), (-2.5, -14.2), (14.5, -13))):
         b.tree(f"tree{k}", at, b.rng.uniform(5, 7))
-    for k, (x, z, yaw) in enumerate(
-        ((-16, 11.2, 180), (16.6, 0.2, -90), (4.2, -12.6, 0), (-21.8, -3, 90), (10, 14.5, 180))
-    ):
-        b.bench(f"bench{k}", (x, z), yaw)
-    for k, at in enumerate(((-20.5, 6), (-20, -9.5), (-7, -9.2), (10, -9), (19.5, -8), (20, 9), (6, 9.6), (-8, 9.8))):
-        b.lamp_post(f"lamp{k}", at)
+    b.benches((-16, 11.2, 180), (16.6, 0.2, -90), (4.2, -12.6, 0), (-21.8, -3, 90), (10, 14.5, 180))
+    b.lamp_posts((-20.5, 6), (-20, -9.5), (-7, -9.2), (10, -9), (19.5, -8), (20, 9), (6, 9.6), (-8, 9.8))
     parts.kiosk(b, (17.5, 13.5), 25)
     parts.car(b, "van", (-11, 17.6), 3)
     parts.car(b, "car", (12, 17.8), -2)
-    for k, at in enumerate(((-15, -14.5), (15, -9.5), (19.8, 6.2))):
-        parts.bin_(b, f"bin{k}", at)
+    parts.bins(b, (-15, -14.5), (15, -9.5), (19.8, 6.2))
     for k, (x, z, yaw) in enumerate(((-19.5, 0.5, 80), (15.6, -5.4, -60), (-9, -13.5, 10))):
-        grave = materials.marble((150, 154, 156), (90, 92, 96))
 
-        def stone(c: Canvas, grave: Material = grave) -> None:
-            grave(c)
+        def stone(c: Canvas) -> None:
+            materials.marble((150, 154, 156), (90, 92, 96))(c)
             for row in range(4):
                 c.text(0.15, c.height_m - 0.4 - 0.28 * row, 0.15, details.word(c.rng, 4), (50, 50, 54), c.width_m - 0.3)
 

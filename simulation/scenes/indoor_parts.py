@@ -80,15 +80,8 @@ def desk(b: Builder, name: str, centre: Xz, yaw_deg: float, width: float = 1.4) 
         c.inset(0.02, 0.02, c.width_m - 0.02, c.height_m - 0.02, windows)
 
     b.box(name, centre, (width, 0.74, 0.7), side, top=top, yaw_deg=yaw_deg)
-    b.box(
-        f"{name}.screen",
-        centre,
-        (0.55, 0.4, 0.06),
-        materials.plain((40, 40, 42)),
-        front=screen,
-        bottom=0.84,
-        yaw_deg=yaw_deg,
-    )
+    case = materials.plain((40, 40, 42))
+    b.box(f"{name}.screen", centre, (0.55, 0.4, 0.06), case, front=screen, bottom=0.84, yaw_deg=yaw_deg)
     b.box(f"{name}.foot", centre, (0.2, 0.1, 0.15), materials.plain((60, 60, 62)), bottom=0.74, yaw_deg=yaw_deg)
 
 
@@ -127,9 +120,9 @@ def pane(b: Builder, name: str, left: Xz, right: Xz, bottom: float, top: float, 
                 c.box(u, 0, u + step * 0.7, c.height_m, details.bright(c.rng))
                 u += step
 
+        along = ((right[0] - left[0]), (right[1] - left[1]))
+        length = (along[0] ** 2 + along[1] ** 2) ** 0.5
         for away in (0.012, -0.012):
-            along = ((right[0] - left[0]), (right[1] - left[1]))
-            length = (along[0] ** 2 + along[1] ** 2) ** 0.5
             shift = (-along[1] / length * away, along[0] / length * away)
             ends = [(p[0] + shift[0], p[1] + shift[1]) for p in (left, right)]
             if away < 0:

@@ -60,15 +60,8 @@ def _furniture(b: Builder) -> None:
     parts.desk(b, "desk1", (0.6, -1.6), 0)
     parts.desk(b, "desk2", (1.0, 1.62), 180, 1.3)
     parts.chair(b, "chair0", (-3.2, 0.9), 130)
-    b.box(
-        "board",
-        (-0.75, 1.96),
-        (1.5, 1.1, 0.05),
-        materials.plain((150, 154, 158)),
-        front=parts.whiteboard,
-        bottom=0.95,
-        yaw_deg=180,
-    )
+    edge, board = materials.plain((150, 154, 158)), parts.whiteboard
+    b.box("board", (-0.75, 1.96), (1.5, 1.1, 0.05), edge, front=board, bottom=0.95, yaw_deg=180)
     b.box("cabinet", (3.5, -1.5), (0.8, 1.35, 0.45), _cabinet, yaw_deg=-90)
     b.box("copier", (2.3, -1.65), (0.7, 1.0, 0.6), _cabinet)
     b.box("plant", (3.45, 0.75), (0.34, 0.4, 0.34), materials.plain((60, 90, 150)))

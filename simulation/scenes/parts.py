@@ -199,15 +199,10 @@ def _dress(b: Builder, front: _Front, facade: Facade) -> None:
 
 def _awning(b: Builder, front: _Front, facade: Facade) -> None:
     cloth = materials.stripes((230, 232, 234), details.bright(b.rng), 0.3)
-    corner, high = front.at(0.3, 1.1), facade.storey_m - 0.75
+    (x, z), high = front.at(0.3, 1.1), facade.storey_m - 0.75
     run, out = (front.width_m - 0.6) * front.along, front.out
-    b.quad(
-        f"{front.name}.awning",
-        (corner[0], high, corner[1]),
-        (run[0], 0, run[1]),
-        (-1.1 * out[0], 0.4, -1.1 * out[1]),
-        cloth,
-    )
+    up = (-1.1 * out[0], 0.4, -1.1 * out[1])
+    b.quad(f"{front.name}.awning", (x, high, z), (run[0], 0, run[1]), up, cloth)
 
 
 def _balcony(b: Builder, front: _Front, facade: Facade, storey: int) -> None:
@@ -284,22 +279,17 @@ def car(b: Builder, name: str, centre: Xz, yaw_deg: float) -> None:
             x = (0.08 + 0.3 * k) * c.width_m
             c.box(x, 0.95, x + 0.25 * c.width_m, 1.55, (70, 60, 50))
             c.polygon([(x, 1.55), (x + 0.1 * c.width_m, 1.55), (x + 0.04, 0.95), (x, 0.95)], (150, 140, 130))
-        c.text(
-            0.1 * c.width_m,
-            0.55,
-            0.22,
-            f"{details.word(c.rng)} {c.rng.integers(10, 99)}",
-            (240, 240, 240),
-            0.6 * c.width_m,
-        )
+        text = f"{details.word(c.rng)} {c.rng.integers(10, 99)}"
+        c.text(0.1 * c.width_m, 0.55, 0.22, text, (240, 240, 240), 0.6 * c.width_m)
 
     b.box(name, centre, (4.2, 1.75, 1.8), side, yaw_deg=yaw_deg)
 
 
-def bin_(b: Builder, name: str, centre: Xz) -> None:
+def bins(b: Builder, *places: Xz) -> None:
     def side(c: Canvas) -> None:
         materials.plain((50, 90, 45))(c)
         details.notice(c, 0.1, 0.4, 0.25, 0.3)
         details.emblem(c, 0.25, 0.25, 0.1)
 
-    b.box(name, centre, (0.5, 0.9, 0.5), side)
+    for k, at in enumerate(places):
+        b.box(f"bin{k}", at, (0.5, 0.9, 0.5), side)

@@ -21,12 +21,10 @@ def build(seed: int) -> Place:
     _market(b)
     for k, at in enumerate(((-9.5, -3.2), (-9.8, 3.4), (9.6, -3.6), (16.6, 9.6), (-16.6, -9.4))):
         b.tree(f"tree{k}", at, b.rng.uniform(4.8, 6.2), spread=1.4)
-    for k, (x, z, yaw) in enumerate(((-6.5, 1.5, 90), (6.8, -1.2, -90), (0.5, 3.9, 180), (-17.3, 4.0, 90))):
-        b.bench(f"bench{k}", (x, z), yaw)
-    for k, at in enumerate(((-12.5, 10.3), (0.2, 10.4), (12.8, 10.2), (-4.5, -10.2), (17.2, -1.5), (-17.6, -3))):
-        b.lamp_post(f"lamp{k}", at, 3.8)
-    for k, at in enumerate(((6.5, 10.2), (-17.3, 8.8), (-11.0, -10.4))):
-        parts.bin_(b, f"bin{k}", at)
+    b.benches((-6.5, 1.5, 90), (6.8, -1.2, -90), (0.5, 3.9, 180), (-17.3, 4.0, 90))
+    lamps = ((-12.5, 10.3), (0.2, 10.4), (12.8, 10.2), (-4.5, -10.2), (17.2, -1.5), (-17.6, -3))
+    b.lamp_posts(*lamps, height=3.8)
+    parts.bins(b, (6.5, 10.2), (-17.3, 8.8), (-11.0, -10.4))
     parts.kiosk(b, (-6.2, -2.2), 70)
     return b.place
 
@@ -113,8 +111,7 @@ def _market(b: Builder) -> None:
                 c.disc(x, y, c.rng.uniform(0.03, 0.07), details.bright(c.rng))
             details.notice(c, c.width_m * 0.4, 0.1, 0.3, 0.22)
 
-        turn = math.radians(yaw)
-        roof = (2.8, 0.3, 1.6)
+        turn, roof = math.radians(yaw), (2.8, 0.3, 1.6)
         b.box(f"stall{k}", (x, z), (2.4, 0.95, 1.1), goods, yaw_deg=yaw)
         b.box(f"stall{k}.roof", (x, z), roof, cloth, bottom=2.15, yaw_deg=yaw, faces="fblrtu", solid=False)
         for i in (-1.2, 1.2):

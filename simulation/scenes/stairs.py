@@ -21,27 +21,6 @@ def build(seed: int) -> Place:
     lamps = (((0.0, 5.6, 0.0), 0.7), ((2.1, 4.4, 0.0), 0.4), ((-2.1, 2.7, -0.6), 0.4))
     b = Builder("Stairs", EXTENT_M, HEIGHT_M, Light(0.6, None, 0, lamps), seed, 0.33)
     x, z = EXTENT_M[0] / 2, EXTENT_M[1] / 2
-    _walls(b, x, z)
-    stone = [(150, 162, 170), (130, 142, 152), (110, 122, 136)]
-    b.floor("floor", (-x, -z), (x, z), 0, materials.tiles(0.3, [*stone, (60, 66, 74)], (80, 84, 88)))
-    b.ceiling("ceiling", (-x, -z), (x, z), HEIGHT_M, _ceiling)
-    _flight(b, "lower", -z, -_WELL, 0.0, up=True)
-    _flight(b, "upper", _WELL, z, _RISE_M, up=False)
-    centre, size = ((_FLIGHT[1] + x) / 2, 0.0), (x - _FLIGHT[1], _RISE_M, 2 * z)
-    b.box("landing", centre, size, BRICK_YELLOW, top=_landing, faces="lt")
-    centre, size = ((-x + _FLIGHT[0]) / 2, 0.0), (_FLIGHT[0] + x, 0.22, 2 * z)
-    b.box(
-        "gallery", centre, size, materials.plain((190, 196, 200)), top=_landing, bottom=2 * _RISE_M - 0.22, faces="rtu"
-    )
-    parts.pane(b, "screen.lower", (_FLIGHT[0] + 0.1, 0), (0.05, 0), 0.0, 2.6, False)
-    parts.pane(b, "screen.upper", (0.05, 0), (_FLIGHT[1] - 0.05, 0), 0.0, 3.4, False)
-    parts.pane(b, "gallery.rail", (_FLIGHT[0] - 0.05, -z + 0.05), (_FLIGHT[0] - 0.05, 0.3), 3.0, 4.0, False)
-    b.box("plant", (2.5, 2.0), (0.3, 0.45, 0.3), materials.plain((50, 80, 140)), bottom=_RISE_M)
-    b.bush("plant.leaves", (2.5, 2.0), 0.28, _RISE_M + 0.4)
-    return b.place
-
-
-def _walls(b: Builder, x: float, z: float) -> None:
     for name, left, right, low, high in (
         ("north", (-x, -z), (x, -z), BRICK_RED, materials.plaster((200, 208, 206), 1.0)),
         ("east", (x, -z), (x, z), materials.plaster((140, 180, 214), 1.0), BRICK_YELLOW),
@@ -50,6 +29,22 @@ def _walls(b: Builder, x: float, z: float) -> None:
     ):
         b.wall(f"{name}.low", left, right, 0, 3, _wall(low))
         b.wall(f"{name}.high", left, right, 3, HEIGHT_M, _wall(high))
+    stone = [(150, 162, 170), (130, 142, 152), (110, 122, 136)]
+    b.floor("floor", (-x, -z), (x, z), 0, materials.tiles(0.3, [*stone, (60, 66, 74)], (80, 84, 88)))
+    b.ceiling("ceiling", (-x, -z), (x, z), HEIGHT_M, _ceiling)
+    _flight(b, "lower", -z, -_WELL, 0.0, up=True)
+    _flight(b, "upper", _WELL, z, _RISE_M, up=False)
+    centre, size = ((_FLIGHT[1] + x) / 2, 0.0), (x - _FLIGHT[1], _RISE_M, 2 * z)
+    b.box("landing", centre, size, BRICK_YELLOW, top=_landing, faces="lt")
+    centre, size = ((-x + _FLIGHT[0]) / 2, 0.0), (_FLIGHT[0] + x, 0.22, 2 * z)
+    under = materials.plain((190, 196, 200))
+    b.box("gallery", centre, size, under, top=_landing, bottom=2 * _RISE_M - 0.22, faces="rtu")
+    parts.pane(b, "screen.lower", (_FLIGHT[0] + 0.1, 0), (0.05, 0), 0.0, 2.6, False)
+    parts.pane(b, "screen.upper", (0.05, 0), (_FLIGHT[1] - 0.05, 0), 0.0, 3.4, False)
+    parts.pane(b, "gallery.rail", (_FLIGHT[0] - 0.05, -z + 0.05), (_FLIGHT[0] - 0.05, 0.3), 3.0, 4.0, False)
+    b.box("plant", (2.5, 2.0), (0.3, 0.45, 0.3), materials.plain((50, 80, 140)), bottom=_RISE_M)
+    b.bush("plant.leaves", (2.5, 2.0), 0.28, _RISE_M + 0.4)
+    return b.place
 
 
 @material
