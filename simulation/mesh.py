@@ -24,9 +24,8 @@ def build_mesh(place: Place, texel_m: float, seed: int, track: Track = lambda it
     """Paint and light every surface of a place; texel_m is the texel's size before the
     factors of the place and of each surface."""
     texel_m *= place.texel
-    quad_points = np.array(
-        [[q.corner, q.corner + q.right, q.corner + q.right + q.up, q.corner + q.up] for q in place.quads]
-    )
+    corners = [(q.corner, q.corner + q.right, q.corner + q.right + q.up, q.corner + q.up) for q in place.quads]
+    quad_points = np.array(corners)
     first = 4 * np.arange(len(place.quads))[:, None]
     quad_triangles = (first[:, None] + np.array([[[0, 1, 2], [0, 2, 3]]])).reshape(-1, 3)
     crown_points = [crown.triangles_T33.reshape(-1, 3) for crown in place.crowns]

@@ -122,10 +122,8 @@ def _drifted(truth: Array, seed: int, model: VioModel) -> Array:
 
     rotation = yaw_rotation(yaw) @ tilt @ true_T_cam[:, :3, :3]
     turned = scale * np.einsum("nij,nj->ni", yaw_rotation((yaw[1:] + yaw[:-1]) / 2) @ tilt, steps)
-    sizes = np.array(
-        [model.position_walk_m_per_sqrt_m, model.height_walk_m_per_sqrt_m, model.position_walk_m_per_sqrt_m]
-    )
-    strayed = sizes * wander(np.random.default_rng([seed, _POSITION]), along, model.correlation_m, 3)
+    level, height = model.position_walk_m_per_sqrt_m, model.height_walk_m_per_sqrt_m
+    strayed = wander(np.random.default_rng([seed, _POSITION]), along, model.correlation_m, 3) * [level, height, level]
     position = strayed + np.concatenate([np.zeros((1, 3)), np.cumsum(turned, axis=0)])
     return make_pose(rotation, position)
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
-from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.geometry.poses import Array, make_pose, path_length
 from groundwalk.simulation.place import UP, Place, Route, Vec
 
 MARGIN_M = 0.35  # kept from everything solid
@@ -63,9 +63,8 @@ def plan_walk(
     position[:, 1] += 0.03 * wander(t, 0.02, 0.1, rng)
     position += (0.015 * vigour * np.sin(phase / 2))[:, None] * sideways
 
-    yaw = (
-        course.gaze(s) + math.radians(route.look_deg) * wander(t, 0.03, 0.16, rng) + _glances(t, duration_s, route, rng)
-    )
+    yaw = course.gaze(s) + math.radians(route.look_deg) * wander(t, 0.03, 0.16, rng)
+    yaw += _glances(t, duration_s, route, rng)
     pitch = math.radians(route.tilt_deg) + math.radians(2.5) * wander(t, 0.05, 0.3, rng) + course.slope(s) * 0.4
     roll = math.radians(1.3) * wander(t, 0.05, 0.4, rng)
     shake = vigour * math.radians(0.25)
@@ -87,15 +86,15 @@ class _Course:
         fine = np.linspace(0, chord[-1], 4000)
         xyz = curve(fine)
         # Heights follow the stairs piece by piece; a cubic would swing over at their ends.
-        along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(xyz[:, [0, 2]], axis=0), axis=1))])
+        along = path_length(xyz[:, [0, 2]])
         marks = np.interp(chord, fine, along)
         self.length_m = float(along[-1])
         count = max(50, round(self.length_m / _STEP_M))
         grid = np.linspace(0, self.length_m, count + 1)
         flat = np.stack([np.interp(grid, along, xyz[:, k]) for k in (0, 2)], axis=1)
         height = _smooth_closed(np.interp(grid[:-1], marks, closed[:, 1]), 0.25 / self.length_m * count)
-        heading = np.arctan2(*(np.roll(flat[:-1], -1, axis=0) - np.roll(flat[:-1], 1, axis=0)).T[::-1])
-        heading = np.unwrap(heading)
+        ahead = np.roll(flat[:-1], -1, axis=0) - np.roll(flat[:-1], 1, axis=0)
+        heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
         turns = round((heading[-1] - heading[0]) / (2 * math.pi)) * 2 * math.pi
         offset = np.interp(grid[:-1], marks, np.append(gaze, gaze[0]))
         ramp = turns * grid[:-1] / self.length_m
@@ -113,9 +112,8 @@ class _Course:
 
     def place(self, s: Vec, offset: Callable[[Vec], Vec]) -> Vec:
         """Points (N, 3) on the floor at distances s, moved to the left by `offset`."""
-        xz = self._flat(s)
-        y = self._height(s)
-        return np.stack([xz[:, 0], y, xz[:, 1]], axis=1) + offset(s)[:, None] * self.left(s)
+        x, z = self._flat(s).T
+        return np.stack([x, self._height(s), z], axis=1) + offset(s)[:, None] * self.left(s)
 
     def left(self, s: Vec) -> Vec:
         """Unit vectors (N, 3) to the left of the way."""
