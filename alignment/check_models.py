@@ -83,14 +83,11 @@ class CheckedMap:
             if segments:
                 segments = [replace(s, rows=row_of[s.rows]) for s in segments]
                 components[component.index] = replace(component, segments=segments)
+        placed = [p for p in self.placed if p.component.index in components]
         return replace(
             self,
             components=list(components.values()),
-            placed=[
-                replace(p, component=components[p.component.index])
-                for p in self.placed
-                if p.component.index in components
-            ],
+            placed=[replace(p, component=components[p.component.index]) for p in placed],
             frames=FrameVerdicts(**{name: values[mask] for name, values in vars(self.frames).items()}),
         )
 
@@ -192,12 +189,7 @@ def _component(
         reason = f"its SfM model has no metric scale: {why}"
         return missing_scale(index, rows, FailureCause.DISCONNECTED_SESSION, reason)
     return Component(
-        index=index,
-        model_id=model_id,
-        segments=segments,
-        scale=scale,
-        vertical=vertical,
-        vio_scale=vio_scale,
+        index=index, model_id=model_id, segments=segments, scale=scale, vertical=vertical, vio_scale=vio_scale
     )
 
 

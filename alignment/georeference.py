@@ -107,15 +107,8 @@ def of_gps(
             f"which knows gravity, {_SURVEY}"
         )
     try:
-        fit = fit_earth(
-            enu,
-            sd,
-            xyz,
-            gps["t_ns"].to_numpy(float) * 1e-9,
-            walk.astype(np.int64),
-            rigid=rigid,
-            vertical_sd=vertical_sd,
-        )
+        seconds, walks = gps["t_ns"].to_numpy(float) * 1e-9, walk.astype(np.int64)
+        fit = fit_earth(enu, sd, xyz, seconds, walks, rigid=rigid, vertical_sd=vertical_sd)
     except GeometryError as error:
         raise NoGeoreference(f"{error}: walk further, {_SURVEY}") from None
     off_m = np.linalg.norm(fit.residual[:, :2], axis=1)

@@ -101,6 +101,7 @@ def _read(r: StageRun[AlignSettings]) -> AlignInputs:
     sfm = SfmTables.of(frames, r.read("sfm", "images"), r.read("sfm", "intrinsics"), r.read("sfm", "pairs"))
     # SfM's poses go with its cameras.
     frames = with_cameras(frames, sfm.images)
+    is_tested = sessions["up_source"].isin([UpSource.ACCELEROMETER, UpSource.LINES])
     return AlignInputs(
         numbers=held.model_numbers(sfm.images, r.before) if r.before is not None and r.holds else {},
         frames=frames,
@@ -108,9 +109,7 @@ def _read(r: StageRun[AlignSettings]) -> AlignInputs:
         jumps=r.read("import", "jumps"),
         recordings=dict(zip(sessions["session_id"], sessions["recording"], strict=True)),
         reference=Reference.of(frames, r.read("import", "reference"), sessions),
-        gravity_tested=frozenset(
-            sessions.loc[sessions["up_source"].isin([UpSource.ACCELEROMETER, UpSource.LINES]), "recording"]
-        ),
+        gravity_tested=frozenset(sessions.loc[is_tested, "recording"]),
     )
 
 

@@ -79,14 +79,9 @@ def _candidate(placed: PlacedComponent, component: Component, a: Segment, b: Seg
     metric_T_vio, _, _ = fit_rigid(metric_T_cam, b.vio_T_cam[near_b], bending, yaw_only=yaw_only)
     map_T_metric = map_T_vio @ inverse(metric_T_vio)
     path_m = float(abs(along_a[near_a].mean() - along_b[near_b].mean()))
-    link = VioLink(
-        a.session_id,
-        gap_m,
-        path_m,
-        transform(map_T_vio, b.vio_T_cam[near_b, :3, 3]).mean(axis=0),
-        float(np.hypot(POSE_SD.position_m, _DRIFT.position_m * np.sqrt(path_m))),
-        float(_DRIFT.rotation * np.sqrt(path_m)),
-    )
+    anchor = transform(map_T_vio, b.vio_T_cam[near_b, :3, 3]).mean(axis=0)
+    sd_m = float(np.hypot(POSE_SD.position_m, _DRIFT.position_m * np.sqrt(path_m)))
+    link = VioLink(a.session_id, gap_m, path_m, anchor, sd_m, float(_DRIFT.rotation * np.sqrt(path_m)))
     map_S_metric = Sim3(1.0, map_T_metric[:3, :3], map_T_metric[:3, 3])
     return PlacedComponent(component, map_S_metric @ component.metric_S_sfm, (*placed.links, link))
 

@@ -17,7 +17,7 @@ from groundwalk.store.schemas import schema
 Rows = NDArray[np.intp]
 """Positions in the frames table."""
 NO_ROWS: Rows = np.empty(0, dtype=np.intp)
-_PRIORITY = list(FailureCause)
+_PRIORITY: list[FailureCause | None] = [*FailureCause]
 
 
 @dataclass(frozen=True)
@@ -138,10 +138,8 @@ def undecided_reasons(results: Sequence[CheckResult], count: int) -> np.ndarray:
 
 def main_failure(results: Sequence[CheckResult]) -> CheckResult | None:
     """The failed check that names the run: by its cause, then by its frames."""
-    failed = [
-        (_PRIORITY.index(r.cause), -r.subject.frames, r) for r in results if r.status is Status.FAILED and r.cause
-    ]
-    return min(failed, key=lambda entry: entry[:2])[2] if failed else None
+    failed = [result for result in with_status(results, Status.FAILED) if result.cause]
+    return min(failed, key=lambda result: (_PRIORITY.index(result.cause), -result.subject.frames), default=None)
 
 
 def checks_table(results: Sequence[CheckResult]) -> pd.DataFrame:

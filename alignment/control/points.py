@@ -81,17 +81,9 @@ def find_points(
                 )
             seen += [(row, index, *_tag_point(xy[0], corner)) for row, xy in at if len(xy) == 1]
     table = np.array(seen, dtype=float).reshape(-1, 4)
-    return ControlPoints(
-        settings,
-        names,
-        xyz_m,
-        np.asarray(sd_m, dtype=float),
-        table[:, 0].astype(np.int64),
-        table[:, 1].astype(np.int64),
-        table[:, 2:],
-        remarks,
-        origin,
-    )
+    row, point = table[:, :2].T.astype(np.int64)
+    sd = np.asarray(sd_m, dtype=float)
+    return ControlPoints(settings, names, xyz_m, sd, row, point, table[:, 2:], remarks, origin)
 
 
 def _coordinates(survey: pd.DataFrame, settings: ControlSettings, path: Path) -> tuple[Array, Origin | None]:

@@ -84,12 +84,10 @@ def draw_control(path: Path, checks: Sequence[ControlCheck], map_xyz: Array) -> 
         if fit is not None and check.held_out.any():
             rows = check.held_out
             error = fit.held_out[rows] @ fit.survey_S_map.rotation / fit.survey_S_map.scale
-            factor = (
-                _ARROW * float(np.ptp(at[rows], axis=0).max()) / max(float(np.linalg.norm(error, axis=1).max()), 1e-12)
-            )
-            axes.quiver(
-                *at[rows][:, ::2].T, *factor * error[:, ::2].T, angles="xy", scale_units="xy", scale=1, width=0.004
-            )
+            longest = max(float(np.linalg.norm(error, axis=1).max()), 1e-12)
+            factor = _ARROW * float(np.ptp(at[rows], axis=0).max()) / longest
+            arrows = *at[rows][:, ::2].T, *factor * error[:, ::2].T
+            axes.quiver(*arrows, angles="xy", scale_units="xy", scale=1, width=0.004)
             axes.set_xlabel(f"x, m; errors {factor:.0f} times as long", fontsize=8)
         for name, xyz in zip(check.points.names, at, strict=True):
             if np.isfinite(xyz).all():

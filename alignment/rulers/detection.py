@@ -11,14 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.alignment.rulers.measurement import RulerDetections
-from groundwalk.alignment.settings import (
-    AprilTagRuler,
-    CharucoRuler,
-    DistanceRuler,
-    Ruler,
-    dictionaries,
-    dictionary,
-)
+from groundwalk.alignment.settings import AprilTagRuler, CharucoRuler, DistanceRuler, Ruler, dictionaries, dictionary
 from groundwalk.geometry.cameras import CENTRE_OF_FIRST_PIXEL
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rulers import Corners
@@ -90,14 +83,8 @@ def _detections(ruler: BoardRuler, by_image: Sequence[Detection], paths: Sequenc
 
 
 def _read_off(ruler: DistanceRuler, frames: pd.DataFrame) -> RulerDetections:
-    seen = pd.DataFrame(
-        [
-            (index, point.name, observation.frame, *observation.xy)
-            for index, point in enumerate(ruler.points)
-            for observation in point.observations
-        ],
-        columns=["corner", "point", "frame", "x_px", "y_px"],
-    )
+    lines = [(i, point.name, o.frame, *o.xy) for i, point in enumerate(ruler.points) for o in point.observations]
+    seen = pd.DataFrame(lines, columns=["corner", "point", "frame", "x_px", "y_px"])
     row = rows_read_off(seen, frames, f"[[ruler]] {ruler.name!r} of the scene's file")
     corners = Corners(np.array([[0.0, 0.0, 0.0], [ruler.length_m, 0.0, 0.0]]), np.zeros(2, dtype=np.int64))
     xy_px = seen[["x_px", "y_px"]].to_numpy(float)
@@ -230,8 +217,5 @@ def markers_in(name: str, image: Grey) -> list[tuple[int, Array]]:
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary(name), parameters).detectMarkers(image)
-    return (
-        []
-        if ids is None
-        else [(int(tag), np.asarray(xy, dtype=float)[0]) for tag, xy in zip(ids.ravel(), corners, strict=True)]
-    )
+    found = () if ids is None else zip(ids.ravel(), corners, strict=True)
+    return [(int(tag), np.asarray(xy, dtype=float)[0]) for tag, xy in found]
