@@ -1,7 +1,6 @@
 """The command `evaluate`: on three Parquet tables from anywhere."""
 
 import contextlib
-import hashlib
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -16,7 +15,7 @@ from groundwalk.fusion.files.walks import Files
 from groundwalk.fusion.recording import blueprint, record
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.cli import SetOption
-from groundwalk.store.files import RECORDING, file_names, fresh_folder, refuse_to_overwrite, write_json
+from groundwalk.store.files import RECORDING, file_names, fresh_folder, refuse_to_overwrite, sha256_of, write_json
 from groundwalk.store.progress import console
 from groundwalk.store.recording import open_recording
 from groundwalk.store.schemas import schema
@@ -47,10 +46,7 @@ def evaluate(
             write_sweep_figure(results.tables["sweep"], folder / "sweep.svg")
         with open_recording(folder / RECORDING, "fuse", scene, blueprint(results.fused, results.gates)) as stream:
             record(stream, results.fused, results.gates, {})
-        inputs = {
-            name: {"file": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-            for name, path in asdict(files).items()
-        }
+        inputs = {name: {"file": str(path), "sha256": sha256_of(path)} for name, path in asdict(files).items()}
         note = {"scene": scene, "inputs": inputs, "settings": settings.model_dump(mode="json")}
         # Last, as it says which files the results are.
         write_json(folder / _NOTE, {**note, "counts": dict(results.counts), "files": file_names(folder)})

@@ -15,7 +15,6 @@ from groundwalk.fusion.methods.localiser import Status
 from groundwalk.fusion.walk import known
 from groundwalk.geometry.poses import Array, quaternion_from_matrix
 from groundwalk.store import colours
-from groundwalk.store.colours import localiser_colours
 from groundwalk.store.recording import FRAME_TIMELINE, TIMELINE, UP_AXIS, log_images, log_path, tabbed
 
 STATUS_COLOURS = {
@@ -164,7 +163,7 @@ def record(
 def _colour(f: Fused) -> tuple[int, int, int]:
     """A method's colour; what a localiser says alone has the localiser's."""
     method = METHODS[f.run.method]
-    return method.colour if method.fuses else localiser_colours([f.run.model])[f.run.model]
+    return method.colour if method.fuses else colours.localiser_colours([f.run.model])[f.run.model]
 
 
 def _signals(fused: list[Fused]) -> dict[str, list[str]]:

@@ -84,7 +84,7 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
         for name, chosen in options.items():
             if name in left_out:
                 continue
-            run = Run(name, options_json(chosen.model_dump(mode="json")), model)
+            run = Run(name, options_json(chosen), model)
             make = partial(method(name).make, chosen)
             try:
                 with METHODS.guard(name):
@@ -130,7 +130,7 @@ def _method_rows(options: dict[str, MethodOptions]) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "method": name,
-            "options": options_json(chosen.model_dump(mode="json")),
+            "options": options_json(chosen),
             "label": METHODS[name].label,
             "fuses": METHODS[name].fuses,
             "causal": METHODS[name].causal,
@@ -151,8 +151,7 @@ def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator
         for model, predictions in scene.predictions.groupby("model", sort=False):
             both = true & held["frame_id"].isin(predictions["frame_id"])
             if len(held) and both.mean() >= 0.5:
-                table = pd.DataFrame(predictions)
-                walks = evaluated(scene.scene, held, scene.truth, table, [Split.VAL]).walks
+                walks = evaluated(scene.scene, held, scene.truth, predictions, [Split.VAL]).walks
                 if fusible := [walk for walk in with_odometry(walks) if known(walk.map_T_cam).any()]:
                     yield str(model), fusible
 

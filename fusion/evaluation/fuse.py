@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.fusion.methods import method
-from groundwalk.fusion.methods.localiser import Estimate, Stepping, is_rigid
+from groundwalk.fusion.methods.localiser import Estimate, MethodOptions, Stepping, is_rigid
 from groundwalk.fusion.methods.offline import Offline, stepped
 from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.poses import Array
@@ -98,51 +98,33 @@ def fuse_all(run: Run, walks: Iterable[Walk], make: Callable[[], Stepping | Offl
 
 def pose_rows(fused: Fused) -> pd.DataFrame:
     """Table fuse.poses."""
-    return pd.concat(
-        [
-            _keys(fused).assign(status=fused.status, live_status=fused.live_status),
-            pose_frame("map_cam", fused.map_T_cam),
-            pose_frame("live_map_cam", fused.live_map_T_cam),
-            pose_frame("map_vio", fused.map_T_vio),
-            pd.DataFrame(
-                {
-                    "covariance": [
-                        None if e.covariance is None else e.covariance.ravel().tolist() for e in fused.estimates
-                    ],
-                    "reasons": [",".join(e.reasons) for e in fused.estimates],
-                }
-            ),
-        ],
-        axis=1,
+    covariances = [None if e.covariance is None else e.covariance.ravel().tolist() for e in fused.estimates]
+    rows = _keys(fused).assign(
+        status=fused.status,
+        live_status=fused.live_status,
+        covariance=pd.Series(covariances, dtype=object),
+        reasons=[",".join(e.reasons) for e in fused.estimates],
     )
+    poses = {"map_cam": fused.map_T_cam, "live_map_cam": fused.live_map_T_cam, "map_vio": fused.map_T_vio}
+    return pd.concat([rows, *(pose_frame(prefix, a_T_b) for prefix, a_T_b in poses.items())], axis=1)
 
 
 def error_rows(fused: Fused) -> pd.DataFrame:
     """Table fuse.errors: the frames that have ground truth."""
     walk = fused.walk
-    position_m, rotation_deg = pose_errors(fused.map_T_cam, walk.map_T_cam)
-    live_position_m, live_rotation_deg = pose_errors(fused.live_map_T_cam, walk.map_T_cam)
-    raw_position_m, raw_rotation_deg = pose_errors(walk.map_T_cam_predicted, walk.map_T_cam)
-    rows = _keys(fused).assign(
-        quality=walk.quality,
-        status=fused.status,
-        position_m=position_m,
-        rotation_deg=rotation_deg,
-        live_status=fused.live_status,
-        live_position_m=live_position_m,
-        live_rotation_deg=live_rotation_deg,
-        raw_position_m=raw_position_m,
-        raw_rotation_deg=raw_rotation_deg,
-    )
+    rows = _keys(fused).assign(quality=walk.quality, status=fused.status, live_status=fused.live_status)
+    estimates = {"": fused.map_T_cam, "live_": fused.live_map_T_cam, "raw_": walk.map_T_cam_predicted}
+    for prefix, map_T_cam in estimates.items():
+        rows[f"{prefix}position_m"], rows[f"{prefix}rotation_deg"] = pose_errors(map_T_cam, walk.map_T_cam)
     return rows[known(walk.map_T_cam)].reset_index(drop=True)
 
 
 def signal_rows(fused: Fused) -> pd.DataFrame:
     """Table fuse.signals: the numbers behind the decisions."""
-    named = [(i, name, value) for i, e in enumerate(fused.estimates) for name, value in e.signals.items()]
-    index = [i for i, _, _ in named]
-    names, values = [name for _, name, _ in named], [value for _, _, value in named]
-    return _keys(fused).iloc[index].reset_index(drop=True).assign(signal=names, value=np.array(values, dtype=float))
+    signals = [signal for e in fused.estimates for signal in e.signals.items()]
+    index = [i for i, e in enumerate(fused.estimates) for _ in e.signals]
+    names, values = [name for name, _ in signals], np.array([value for _, value in signals], dtype=float)
+    return _keys(fused).iloc[index].reset_index(drop=True).assign(signal=names, value=values)
 
 
 def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
@@ -152,9 +134,9 @@ def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
     return pd.concat([p for p in kept if len(p)] or kept[:1], ignore_index=True)
 
 
-def options_json(options: dict[str, object]) -> str:
+def options_json(options: MethodOptions) -> str:
     """Options as the tables hold them: JSON with sorted keys."""
-    return json.dumps(options, sort_keys=True)
+    return json.dumps(options.model_dump(mode="json"), sort_keys=True)
 
 
 def pose_errors(estimated: Array, true: Array) -> tuple[Array, Array]:

@@ -73,13 +73,13 @@ def figures(frames: pd.DataFrame, prefix: str, total: int) -> dict[str, float | 
     }
 
 
-def intervals(errors: pd.DataFrame, seed: int = 0) -> pd.DataFrame:
+def intervals(errors: pd.DataFrame) -> pd.DataFrame:
     """Table fuse.intervals from fuse.errors: a row a method, model, scene, subset and figure of fuse.summary."""
     rows = []
     for key, frames, prefix, _ in _subsets_of_runs(errors):
         sessions = frames["session_id"].to_numpy(object)
         count = len(set(sessions))
-        for figure, value, low, high in figures_by_session(sessions, *score_columns(frames, prefix), seed):
+        for figure, value, low, high in figures_by_session(sessions, *score_columns(frames, prefix)):
             rows.append(
                 key
                 | {"figure": figure, "value": value, "low": low, "high": high}

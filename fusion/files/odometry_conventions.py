@@ -72,13 +72,11 @@ def shares_vertical(map_T_cam: Array, vio_T_cam: Array) -> bool:
 
 def _motions(walks: Sequence[Walk]) -> tuple[Array, Array]:
     """Motions (P, 4, 4) over a second by ground truth and by odometry."""
-    of_walks = [_motions_of(walk) for walk in walks] or [(np.empty((0, 4, 4)), np.empty((0, 4, 4)))]
-    true, vio = (np.concatenate(poses) for poses in zip(*of_walks, strict=True))
-    return true, vio
-
-
-def _motions_of(walk: Walk) -> tuple[Array, Array]:
-    both = np.flatnonzero(known(walk.map_T_cam) & known(walk.vio_T_cam))
-    later = np.searchsorted(walk.t_ns[both], walk.t_ns[both] + _APART_NS)
-    a, b = both[later < len(both)], both[later[later < len(both)]]
-    return relative(walk.map_T_cam[a], walk.map_T_cam[b]), relative(walk.vio_T_cam[a], walk.vio_T_cam[b])
+    true, vio = [np.empty((0, 4, 4))], [np.empty((0, 4, 4))]
+    for walk in walks:
+        both = np.flatnonzero(known(walk.map_T_cam) & known(walk.vio_T_cam))
+        later = np.searchsorted(walk.t_ns[both], walk.t_ns[both] + _APART_NS)
+        a, b = both[later < len(both)], both[later[later < len(both)]]
+        true.append(relative(walk.map_T_cam[a], walk.map_T_cam[b]))
+        vio.append(relative(walk.vio_T_cam[a], walk.vio_T_cam[b]))
+    return np.concatenate(true), np.concatenate(vio)

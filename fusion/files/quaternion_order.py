@@ -20,7 +20,9 @@ def refuse_scalar_first(walks: Sequence[Walk], scene: str) -> None:
 
     Predictions are held against ground truth, ground truth and odometry against each other's turns.
     """
-    steps = [_pairs(w.map_T_cam, w.vio_T_cam) for w in walks]
+    # Of each walk the frames that have both poses, and which of their steps are between neighbours.
+    tracked = [np.flatnonzero(known(w.map_T_cam) & known(w.vio_T_cam)) for w in walks]
+    steps = [(w.map_T_cam[f], w.vio_T_cam[f], np.diff(f) == 1) for w, f in zip(walks, tracked, strict=True)]
 
     def turns(read_truth: Callable[[Array], Array], read_vio: Callable[[Array], Array]) -> float:
         return _median([relative_error(read_truth(true), read_vio(vio))[1][near] for true, vio, near in steps])
@@ -39,12 +41,6 @@ def refuse_scalar_first(walks: Sequence[Walk], scene: str) -> None:
     given = _median([rotation_error_deg(predicted, true)])
     if given > _FAR_DEG:
         _refuse_if_closer(given, _median([rotation_error_deg(_as_w_first(predicted), true)]), f"predictions of {scene}")
-
-
-def _pairs(map_T_cam: Array, vio_T_cam: Array) -> tuple[Array, Array, Array]:
-    """The frames that have both poses, (N, 4, 4) twice, and which of their steps (N - 1,) are between neighbours."""
-    both = np.flatnonzero(known(map_T_cam) & known(vio_T_cam))
-    return map_T_cam[both], vio_T_cam[both], np.diff(both) == 1
 
 
 def _as_given(poses: Array) -> Array:

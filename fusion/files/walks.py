@@ -186,9 +186,8 @@ def _walks(
     covariance: Array | None,
 ) -> list[Walk]:
     """The walks of frames in order; `poses` are odometry's, the predictions' and the true ones (N, 4, 4)."""
-    gravity = _gravity(ordered)
+    gravity, (vio_T, apr_T, true_T) = _gravity(ordered), poses
     states_gravity = set(_GRAVITY) <= set(ordered.columns)
-    vio_T, apr_T, true_T = poses
     # A new walk begins where the session or the split changes in time.
     key = ordered["session_id"].astype(str) + "/" + ordered["split"]
     number = (key != key.shift()).cumsum().to_numpy()
@@ -249,8 +248,7 @@ def _outside(apr_T: Array, true_T: Array) -> int:
 def _poses(table: pd.DataFrame, prefix: str) -> Array:
     """A pose group as (N, 4, 4); NaN where a value isn't finite, the place isn't on Earth or the quaternion has no
     length."""
-    columns = pose_columns(prefix)
-    values = table[columns].astype(float)
+    values = table[pose_columns(prefix)].astype(float)
     numbers = values.to_numpy()
     sound = np.isfinite(numbers).all(axis=1) & (np.abs(numbers[:, :3]) < _ON_EARTH_M).all(axis=1)
     sound &= _lengths(values, prefix) > _MIN_QUATERNION

@@ -163,17 +163,14 @@ class DriftAware(Localiser):
             length, angle = hypot(*moved), 0.0 if turned else angle
         elif not jumped:
             self._odometry_step.go([dx, dy, dz], seconds)
-            self._add_lateral_drift(dx, dz)
+            # A step is off to the side by how much the yaw has drifted by now.
+            yaw, (x, z) = float(self._drift[3]), self._yaw_covariance
+            more = dz * x - dx * z + (dx * dx + dz * dz) * yaw / 2
+            self._drift = self._drift + np.array([more, 0.0, more, 0.0])
+            self._yaw_covariance = [x + dz * yaw, z - dx * yaw]
         self._along_m += length + _TURN_LENGTH_M * angle
         self._drift = self._drift + length * self._drift_a_metre + seconds * self._drift_a_second
         return jumped or gone
-
-    def _add_lateral_drift(self, dx: float, dz: float) -> None:
-        """Add what a step of odometry is off to the side by for how much the yaw has drifted by now."""
-        yaw, (x, z) = float(self._drift[3]), self._yaw_covariance
-        more = dz * x - dx * z + (dx * dx + dz * dz) * yaw / 2
-        self._drift = self._drift + np.array([more, 0.0, more, 0.0])
-        self._yaw_covariance = [x + dz * yaw, z - dx * yaw]
 
     def _add_keyframe(self, t_ns: int, vio_T_cam: Array, map_T_cam_predicted: Array) -> None:
         """Keep a prediction as the newest keyframe."""
@@ -293,11 +290,7 @@ class DriftAware(Localiser):
                 self._iterated()
 
     def revised(
-        self,
-        t_ns: int,
-        vio_T_cam: Array,
-        map_T_cam_predicted: Array | None = None,
-        predicted_covariance: Array | None = None,
+        self, t_ns: int, vio_T_cam: Array, map_T_cam_predicted: Array | None, predicted_covariance: Array | None
     ) -> Estimate | None:
         """What is known by now of an earlier frame's pose (4, 4) in odometry's frame; None before any prediction."""
         keyframes = self._keyframes
@@ -348,10 +341,9 @@ class DriftAware(Localiser):
         return Belief(prior, self._covariance, self._quality.factors, self._lean, lean_variance)
 
     def _iterated(self, newest: float = nan) -> Fit:
-        self._last = iterate(self._keyframes.rows, self._belief, newest)
-        self._covariance = self._last.covariance
-        self._lean, self._lean_variance = self._last.lean, self._last.lean_variance
-        return self._last
+        fit = self._last = iterate(self._keyframes.rows, self._belief, newest)
+        self._covariance, self._lean, self._lean_variance = fit.covariance, fit.lean, fit.lean_variance
+        return fit
 
     def _adopt(self, alternative: Alternative) -> None:
         """Change to another alignment from some keyframe on."""

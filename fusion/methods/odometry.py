@@ -37,9 +37,7 @@ class OdometryLocaliser(Localiser):
         if vio_T_cam is None:
             return raw(map_T_cam_predicted, "no_odometry")
         jumped = self._vio is not None and have_jumped(
-            (t_ns - self._vio[0]) * 1e-9,
-            float(np.linalg.norm(vio_T_cam[:3, 3] - self._vio[1][:3, 3])),
-            self.options,
+            (t_ns - self._vio[0]) * 1e-9, float(np.linalg.norm(vio_T_cam[:3, 3] - self._vio[1][:3, 3])), self.options
         )
         if jumped:
             self._forget()

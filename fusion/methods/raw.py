@@ -1,6 +1,7 @@
 """Method `raw`: the raw prediction, which every other method is held against."""
 
-from groundwalk.fusion.methods.localiser import Estimate, Localiser, MethodOptions, Status
+from groundwalk.fusion.methods.localiser import Estimate, Localiser, MethodOptions
+from groundwalk.fusion.methods.odometry import raw
 from groundwalk.geometry.poses import Array
 
 
@@ -10,6 +11,4 @@ class Raw(Localiser):
     options_type = MethodOptions
 
     def _advance(self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None) -> Estimate:
-        if map_T_cam_predicted is None:
-            return Estimate(None, Status.NONE, reasons=("no_prediction",))
-        return Estimate(map_T_cam_predicted, Status.PREDICTED)
+        return raw(map_T_cam_predicted)
