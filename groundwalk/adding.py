@@ -17,7 +17,6 @@ import typer
 from groundwalk.cli import stage_of
 from groundwalk.pipeline import Step, run_steps
 from groundwalk.store import progress
-from groundwalk.store.child import ProcessDied
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.errors import MachineError, UserError
@@ -104,7 +103,7 @@ def _change(data: DataRoot, profile: str, scene: str, new: Path | None, gone: st
                     _copy_captures(made.captures(scene), captures.resolve(), note["into"], new, place)
                     _make(made, data, profile, scene)
                 except (UserError, OSError) as error:
-                    if not isinstance(error, MachineError | ProcessDied):  # of these the same command resumes
+                    if not isinstance(error, MachineError):  # after one the same command resumes
                         shutil.rmtree(aside, ignore_errors=True)
                     raise
                 refuse_changed()
@@ -143,13 +142,13 @@ def _path_of(captures: Path, recording: str) -> Path:
 
 
 def _folder_for(captures: Path, data: DataRoot, profile: str, scene: str) -> str:
-    """What the captures are to be in a folder of captures, by their name, where they are one recording themselves; its
-    id stays. Empty where they are a folder of recordings."""
+    """The name of the subfolder that captures have to move into where they are one recording themselves, so that its id
+    stays the same; empty where they are a folder of recordings."""
     from groundwalk.capture_import.discovery import find_recordings
     from groundwalk.capture_import.settings import ImportSettings
 
     settings = resolve_settings(ImportSettings, "import", data, profile, scene)
-    with tempfile.TemporaryDirectory(dir=data.run(profile, scene)) as unpacked:
+    with tempfile.TemporaryDirectory(prefix=".", dir=data.run(profile, scene)) as unpacked:
         found = find_recordings(captures, Path(unpacked), settings.limits, settings.format)
     return "" if found[0].parts else captures.resolve().name
 

@@ -163,7 +163,7 @@ def read_scenes(table: Path) -> Iterator[dict[str, str]]:
         found = ", ".join(map(str, content))
         raise UserError("a table of scenes has other columns", where=table, found=found, expected=", ".join(_COLUMNS))
     if content.empty:
-        raise UserError("a table of scenes lists none", where=table, expected="a line for each scene")
+        raise UserError("a table of scenes lists no scene", where=table, expected="a line for each scene")
     for row in content.to_dict("records"):
         yield {str(name): value.strip() for name, value in row.items() if value.strip() or name == "scene"}
 

@@ -236,10 +236,14 @@ def _train(report: Report, job: Job, threads: int, part: processes.Part) -> Plug
     faults: list[PluginError] = []
     with left_out(job.run.title, faults), processes.joined(part, job.run.device) as device:
         run = replace(job.run, device=device)
-        train((lambda done, note="": None) if part.rank else report, job.model(), job.training, job.held_out, run)
+        train(report if not part.rank else _no_report, job.model(), job.training, job.held_out, run)
     if faults and part.count > 1:
         raise faults[0]
     return faults[0] if faults else None
+
+
+def _no_report(done: int, note: str = "") -> None:
+    """Progress of a process beside the first one."""
 
 
 def finish(r: StageRun[TrainSettings], job: Job, data: Frames, frames: pd.DataFrame, focal: float | None) -> Result:

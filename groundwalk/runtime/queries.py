@@ -17,7 +17,7 @@ from groundwalk.store.errors import UserError
 from groundwalk.store.images import read_image
 
 _IMAGES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
-_UNREAD = {".heic", ".heif", ".avif", ".dng"}  # photos, of a folder each to be refused by name
+_UNREAD = {".heic", ".heif", ".avif", ".dng"}  # photos: those in a folder are refused by name
 _INTRINSICS_FILE = "intrinsics.json"
 _INTRINSICS = ("fx", "fy", "cx", "cy")
 _CAMERA = ("width", "height", *_INTRINSICS, "first_row")

@@ -37,7 +37,7 @@ def link_folder(data: DataRoot, scene: str, folder: Path) -> None:
     root = data.root.resolve()
     if root.is_relative_to(folder) and not any(part.startswith(".") for part in root.relative_to(folder).parts):
         raise UserError(
-            "results would be written into the captures, and read as such",
+            "results would be written into the captures, where the next run reads them as captures",
             where=folder,
             found=f"the data folder in it, {data.root}",
             do="give the command in another folder, or name one with --data (judge: --out)",

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol, cast
 
-from groundwalk.store.errors import UserError
+from groundwalk.store.errors import MachineError, UserError
 from groundwalk.store.progress import Reporter, tell
 from groundwalk.store.signals import signals_held_from_workers
 
@@ -59,8 +59,8 @@ class _Running:
     result: list[Any] = field(default_factory=list)
 
 
-class ProcessDied(UserError):
-    """A task's process ended without a result; `exit_code` is negative for a signal."""
+class ProcessDied(MachineError):
+    """A task's process ended without a result, mostly for want of memory; `exit_code` is negative for a signal."""
 
     def __init__(self, what: str, *, exit_code: int | None = None, **details: Any) -> None:
         super().__init__(what, **details)

@@ -17,12 +17,11 @@ import rerun as rr
 
 from groundwalk.store import progress, recording
 from groundwalk.store.checkout import git_revision
-from groundwalk.store.child import ProcessDied
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.cores import machine
 from groundwalk.store.damage import free_bytes
 from groundwalk.store.definition import Stage
-from groundwalk.store.errors import UserError
+from groundwalk.store.errors import MachineError, UserError
 from groundwalk.store.files import RECORDING, STOPPED, partial_folder, refuse_irreplaceable, swap_in, write_json
 from groundwalk.store.hints import of_scene
 from groundwalk.store.images import image_file
@@ -76,7 +75,7 @@ class StageRun(Generic[S]):
         except UserError as error:
             if do := error.details["do"]:
                 error.details["do"] = of_scene(str(do), self.data, self.scene.name)
-            if not isinstance(error, ProcessDied):  # killed for want of memory, mostly: nothing against the capture
+            if not isinstance(error, MachineError):  # which is nothing against the capture
                 with contextlib.suppress(OSError):  # a full disk: what the user must know is the error
                     texts = {name: str(value) for name, value in error.details.items() if value is not None}
                     write_json(self.work / STOPPED, {"what": error.what, **texts})

@@ -243,8 +243,8 @@ def gap_warning(reasons: pd.Series) -> str:
     if not apart > _MANY_GAPS:
         return ""
     return (
-        f"{apart:.0%} of its frames aren't checked, as the predictions before them aren't interval_s, give or take "
-        "interval_tolerance_s, earlier: set these options to the predictions' rate"
+        f"{apart:.0%} of its frames aren't checked, as the time since the prediction before isn't interval_s within "
+        "interval_tolerance_s: set these options to the predictions' rate"
     )
 
 
