@@ -124,7 +124,7 @@ def _map(
         first = source
         if is_large(frames):
             first = replace(source, database=work / "thinned.db")
-            write_thinned(source.database, first.database, frames, source.seed)
+            write_thinned(source.database, first.database, source.seed)
         with MAPPERS.guard(mapper):
             models = MAPPERS.find(mapper).run(first, work / mapper, report_one)
         if is_large(frames):

@@ -8,6 +8,8 @@ import pycolmap
 
 from groundwalk.geometry.poses import Array, inverse
 from groundwalk.sfm.database import image_id, pose_of
+from groundwalk.sfm.mapping.merging import merge_points
+from groundwalk.sfm.mapping.thinning import matched_features
 from groundwalk.sfm.plugins import MappingInput
 
 MIN_MODEL_FRAMES = 3
@@ -16,6 +18,7 @@ _ANY_COEFFICIENT = 1e9
 # VIO's own errors over a few metres, seen from a few metres: first generous, then as strict as mapping is.
 _ROUNDS_PX = (16.0, 8.0, 4.0)
 _MIN_OBSERVATIONS = 30
+_NO_MERGING_PX = 1e-9
 
 
 def incremental_mapping(
@@ -84,9 +87,17 @@ def with_all_matches(source: MappingInput, model: pycolmap.Reconstruction, folde
     for i in model.reg_image_ids():
         sfm_T_cam[i - image_id(0)] = pose_of(model.image(i))
     options = pipeline_options(source)
-    return pycolmap.triangulate_points(
+    limit_px, options.triangulation.merge_max_reproj_error = (
+        options.triangulation.merge_max_reproj_error,
+        _NO_MERGING_PX,
+    )
+    model = pycolmap.triangulate_points(
         _of_poses(source, sfm_T_cam), source.database, source.images, folder, options=options
     )
+    start, _, _, feature_M2 = matched_features(source.database)
+    merge_points(model, feature_M2, start, limit_px)
+    model.update_point_3d_errors()
+    return model
 
 
 def _of_poses(source: MappingInput, sfm_T_cam: Array) -> pycolmap.Reconstruction:

@@ -39,24 +39,32 @@ def chosen_matches(pair_M: Ints, feature_M2: Ints, features: int, seed: int) -> 
     return chosen
 
 
-def write_thinned(source: Path, target: Path, frames: int, seed: int) -> None:
-    """Write the database `target`: `source`, of so many frames' verified pairs, with some matches of each pair and the
-    keypoints that have any."""
-    start = np.concatenate([[0], np.cumsum(keypoint_counts(source, frames))])
+def matched_features(database: Path) -> tuple[Ints, Ints, list[pycolmap.TwoViewGeometry], Ints]:
+    """Of a database of N frames: the number of each one's first feature and of all (N + 1,), where all frames' are
+    numbered through; the rows of verified pairs (P, 2), their geometries, and the features that these match (M, 2)."""
+    with pycolmap.Database.open(database) as opened:
+        frames = opened.num_images()
+        pair_ids, geometries = opened.read_two_view_geometries()
+    start = np.concatenate([[0], np.cumsum(keypoint_counts(database, frames))])
+    ends = np.array([pycolmap.pair_id_to_image_pair(i) for i in pair_ids], np.int64).reshape(-1, 2) - image_id(0)
+    of_pairs = [start[rows] + one.inlier_matches for rows, one in zip(ends, geometries, strict=True)]
+    return start, ends, geometries, np.concatenate([np.empty((0, 2), np.int64), *of_pairs])
+
+
+def write_thinned(source: Path, target: Path, seed: int) -> None:
+    """Write the database `target`: `source`, of verified pairs, with some matches of each pair and the keypoints that
+    have any."""
+    start, ends, geometries, feature_M2 = matched_features(source)
     with pycolmap.Database.open(source) as database:
-        keypoints = [database.read_keypoints(image_id(row)) for row in range(frames)]
-        pair_ids, geometries = database.read_two_view_geometries()
-    ends = np.array([pycolmap.pair_id_to_image_pair(i) for i in pair_ids], np.int64).reshape(-1, 2)
-    matches = [np.asarray(one.inlier_matches, np.int64).reshape(-1, 2) for one in geometries]
-    pair_M = np.repeat(np.arange(len(matches)), [len(one) for one in matches])
-    first_M2 = start[ends - image_id(0)][pair_M]  # features of these images
-    feature_M2 = first_M2 + np.concatenate([np.empty((0, 2), np.int64), *matches])
+        keypoints = [database.read_keypoints(image_id(row)) for row in range(len(start) - 1)]
+    pair_M = np.repeat(np.arange(len(ends)), [len(one.inlier_matches) for one in geometries])
+    first_M2 = start[ends][pair_M]
     chosen = chosen_matches(pair_M, feature_M2, int(start[-1]), seed)
     is_kept = np.zeros(start[-1], bool)
     is_kept[feature_M2[chosen]] = True
     kept_before = np.concatenate([[0], np.cumsum(is_kept)])
     matches_left = (kept_before[feature_M2] - kept_before[first_M2])[chosen].astype(np.uint32)
-    parts = np.split(matches_left, np.searchsorted(pair_M[chosen], np.arange(1, len(matches))))
+    parts = np.split(matches_left, np.searchsorted(pair_M[chosen], np.arange(1, len(ends))))
     shutil.copyfile(source, target)
     with pycolmap.Database.open(target) as database, pycolmap.DatabaseTransaction(database):
         database.clear_keypoints()
@@ -65,4 +73,4 @@ def write_thinned(source: Path, target: Path, frames: int, seed: int) -> None:
             database.write_keypoints(image_id(row), of_frame[is_kept[start[row] : start[row + 1]]])
         for (a, b), geometry, of_pair in zip(ends.tolist(), geometries, parts, strict=True):
             geometry.inlier_matches = of_pair
-            database.write_two_view_geometry(a, b, geometry)
+            database.write_two_view_geometry(image_id(a), image_id(b), geometry)

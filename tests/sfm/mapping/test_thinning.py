@@ -35,7 +35,7 @@ def test_what_is_left_are_matches_of_the_same_keypoints(tmp_path: Path, monkeypa
     monkeypatch.setattr(thinning, "_MATCHES_PER_PAIR", 20)
     given, _ = synthetic(tmp_path, 5)
     target = tmp_path / "thinned.db"
-    write_thinned(given.database, target, 5, 0)
+    write_thinned(given.database, target, 0)
     for a, b in itertools.combinations(map(image_id, range(5)), 2):
         all_of_pair, some = (_matched_px(path, a, b) for path in (given.database, target))
         assert some < all_of_pair and len(some) == 20

@@ -1,0 +1,126 @@
+"""Of many frames, the points that are of one track, merged all at once.
+
+COLMAP's merging takes two points at a time, rebuilds their track and looks through all of its matches again: the square
+of what one place is seen by, and at 10,000 frames most of the time of triangulating.
+"""
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.database import Ints, image_id, pose_of
+
+_MAX_ROUNDS = 100  # some ten are usual
+
+
+def merge_points(model: pycolmap.Reconstruction, matched_K2: Ints, start_N: Ints, limit_px: float) -> None:
+    """Merge a model's points whose features are matched, as far as all of their observations are within `limit_px` of
+    the merged one. `matched_K2` (K, 2) and `start_N` are features as in `thinning.matched_features`."""
+    rows = np.array(sorted(model.reg_image_ids()), np.int64) - image_id(0)
+    images = [model.image(image_id(row)) for row in rows.tolist()]
+    features = [np.asarray(image.get_observation_point2D_idxs(), np.int64) for image in images]
+    frame_M = np.repeat(np.arange(len(rows)), [len(of_frame) for of_frame in features])
+    ids = np.array([p.point3D_id for image in images for p in image.get_observation_points2D()], np.int64)
+    point_ids, point_M = np.unique(ids, return_inverse=True)
+    sfm_T_cam = np.array([pose_of(image) for image in images]).reshape(-1, 4, 4)
+    rays = [_rays(model, image, of_frame) for image, of_frame in zip(images, features, strict=True)]
+    focal_px = np.array([model.camera(image.camera_id).mean_focal_length() for image in images])
+    feature_M = np.concatenate([np.empty(0, np.int64), *features])
+    observation = np.full(int(start_N[-1]), -1)
+    observation[start_N[rows][frame_M] + feature_M] = np.arange(len(frame_M))
+    match_K2 = observation[matched_K2]
+    xyz = np.array([model.points3D[i].xyz for i in point_ids.tolist()]).reshape(-1, 3)
+    track_P, track_xyz = merged_tracks(
+        xyz,
+        point_M,
+        sfm_T_cam[frame_M, :3, 3],
+        np.concatenate([np.empty((0, 3)), *rays]),
+        (limit_px / focal_px)[frame_M],
+        match_K2[(match_K2 >= 0).all(axis=1)],
+    )
+    is_merged = np.bincount(track_P)[track_P] > 1
+    for i in point_ids[is_merged].tolist():
+        model.delete_point3D(i)
+    own = np.flatnonzero(is_merged[point_M])
+    own = own[np.argsort(track_P[point_M[own]], kind="stable")]
+    tracks, starts = np.unique(track_P[point_M[own]], return_index=True)
+    element_M2 = np.column_stack([rows[frame_M[own]] + image_id(0), feature_M[own]])
+    for track, first, last in zip(tracks.tolist(), starts.tolist(), [*starts[1:].tolist(), len(own)], strict=False):
+        elements = [pycolmap.TrackElement(*element) for element in element_M2[first:last].tolist()]
+        model.add_point3D(track_xyz[track], pycolmap.Track(elements))
+
+
+def _rays(model: pycolmap.Reconstruction, image: pycolmap.Image, features: Ints) -> Array:
+    """Directions (M, 3) of some features of an image in the model's axes; NaN where its lens has none."""
+    px = np.array([image.points2D[k].xy for k in features.tolist()]).reshape(-1, 2)
+    ray = np.column_stack([model.camera(image.camera_id).cam_from_img(px), np.ones(len(px))])
+    return np.asarray(ray / np.linalg.norm(ray, axis=1, keepdims=True) @ pose_of(image)[:3, :3].T)
+
+
+def merged_tracks(
+    xyz_P3: Array, point_M: Ints, centre_M3: Array, ray_M3: Array, limit_M: Array, match_K2: Ints
+) -> tuple[Ints, Array]:
+    """Which track each of P points is of (P,), and where the T tracks are (T, 3), the means by their observations.
+
+    Observation m of a point is from `centre_M3[m]` along `ray_M3[m]`, and off by at most `limit_M[m]` rad; `match_K2`
+    are two observations each of what may be one track. In each round, pairs of tracks that have more matches with each
+    other than with any other are merged if all of their observations are within their limits of the mean.
+    """
+    track_P, xyz = np.arange(len(xyz_P3)), xyz_P3.copy()
+    size = np.bincount(point_M, minlength=len(xyz)).astype(float)
+    cosine_M, rng = np.cos(limit_M), np.random.default_rng(0)
+
+    def are_off(observation: Ints, at: Array) -> NDArray[np.bool_]:
+        along = at - centre_M3[observation]
+        cosine = np.sum(along * ray_M3[observation], axis=1) / np.linalg.norm(along, axis=1)
+        return np.asarray(~(cosine >= cosine_M[observation]))
+
+    # Each pair of tracks once, with one of its matches and how many it has.
+    pair, match, weight = point_M[match_K2], match_K2, np.ones(len(match_K2))
+    is_tried = np.zeros(len(pair), bool)
+    for _ in range(_MAX_ROUNDS):
+        pair, match, weight, is_tried = _joined(pair, match, weight, is_tried)
+        middle = np.sum(size[pair, None] * xyz[pair], axis=1) / np.sum(size[pair], axis=1)[:, None]
+        untried = np.flatnonzero(~is_tried)
+        for side in (0, 1):
+            is_tried[untried] |= are_off(match[untried, side], middle[untried])
+        untried = untried[~is_tried[untried]]
+        if not len(untried):
+            break
+        score, best = weight[untried] + rng.random(len(untried)), np.zeros(len(xyz))
+        for side in (0, 1):
+            np.maximum.at(best, pair[untried, side], score)
+        chosen = untried[(score[:, None] == best[pair[untried]]).all(axis=1)]
+        of_track = np.full(len(xyz), -1)
+        of_track[pair[chosen]] = chosen[:, None]
+        choice_M = of_track[track_P[point_M]]
+        observed = np.flatnonzero(choice_M >= 0)
+        choice_M = choice_M[observed]
+        is_tried[chosen] = True
+        chosen = np.setdiff1d(chosen, choice_M[are_off(observed, middle[choice_M])])
+        kept, gone = pair[chosen].T
+        xyz[kept], size[kept] = middle[chosen], size[kept] + size[gone]
+        target = np.arange(len(xyz))
+        target[gone] = kept
+        track_P, pair = target[track_P], target[pair]
+        is_tried &= ~np.isin(pair, kept).any(axis=1)
+    tracks, track_P = np.unique(track_P, return_inverse=True)
+    return track_P, xyz[tracks]
+
+
+def _joined(
+    pair_K2: Ints, match_K2: Ints, weight_K: Array, is_tried_K: NDArray[np.bool_]
+) -> tuple[Ints, Ints, Array, NDArray[np.bool_]]:
+    """The same with each pair of two tracks once, with the sum of its weights."""
+    pair_K2 = np.sort(pair_K2, axis=1)
+    is_pair = pair_K2[:, 0] != pair_K2[:, 1]
+    key = pair_K2[is_pair] @ [int(pair_K2.max(initial=0)) + 1, 1]
+    _, first, number = np.unique(key, return_index=True, return_inverse=True)
+    first_K = np.flatnonzero(is_pair)[first]
+    return (
+        pair_K2[first_K],
+        match_K2[first_K],
+        np.bincount(number, weight_K[is_pair]).astype(float),
+        is_tried_K[first_K],
+    )
