@@ -135,6 +135,10 @@ def ground_truth_table(
             anchor = each.link.anchor
         # Where the unit is SfM's, it has no error, and where up is unknown, the axes have none.
         scale_sd, tilt_sd = np.nan_to_num([each.component.scale.sd, each.component.vertical.sd]).tolist()
+        if each.link is not None and not each.component.vertical.source.is_known:
+            # Upright as the map and VIO on the way are.
+            map_sd = placed[0].component.vertical.sd
+            tilt_sd = float(np.linalg.norm([np.nan_to_num(map_sd), *(link.heading_sd for link in each.links)]))
         shared = SharedSd(scale_sd, tilt_sd, camera_sd(frames))
         whole[rows] = of_model[rows] + shared_covariance(map_T_cam[rows], anchor, shared)
     sd_m, sd_rad = largest_sd(of_model)

@@ -148,14 +148,16 @@ def _read(path: Path, names: list[str], *choices: list[str]) -> pd.DataFrame:
     expected = f"CSV with columns {' or '.join(', '.join([*names, *numbers]) for numbers in choices)}"
     try:
         content = path.read_bytes()
-        text = content.decode(encoding_of(content))
+        text = content.decode(encoding_of(content)).lstrip("\r\n")
         between = max(",;\t", key=text.partition("\n")[0].count)
         decimal = "," if between != "," and re.search(r"\d,\d", text) else "."
-        table = pd.read_csv(StringIO(text), sep=between, dtype=str, skipinitialspace=True, keep_default_na=False)
-        table = table.fillna("")  # not before: a point may be called NA
+        table = pd.read_csv(
+            StringIO(text), sep=between, dtype=str, skipinitialspace=True, keep_default_na=False, skip_blank_lines=False
+        ).fillna("")  # not before: a point may be called NA
         refuse_unnamed_fields(table, path)
     except (OSError, ValueError) as error:
         raise UserError("a file of control points can't be read", where=path, found=error, expected=expected) from None
+    table = table[(table != "").any(axis=1)].copy()  # labels still count the file's lines
     numbers = next((numbers for numbers in choices if set(numbers) <= set(table)), choices[0])
     if missing := [name for name in [*names, *numbers] if name not in table]:
         found = ", ".join(map(str, table.columns))
@@ -166,11 +168,11 @@ def _read(path: Path, names: list[str], *choices: list[str]) -> pd.DataFrame:
         table[name] = pd.to_numeric(table[name].str.replace(decimal, "."), errors="coerce")
         is_whole &= np.isfinite(table[name]) | may_be_missing
     if not is_whole.all():
-        line = int(is_whole.argmin()) + 2
+        line = int(is_whole.idxmin()) + 2
         raise UserError("a line isn't names and finite numbers", where=f"{path}, line {line}", expected=expected)
     if table.empty:
         raise UserError("a file of control points has no lines", where=path, expected=expected)
-    return table
+    return table.reset_index(drop=True)
 
 
 def _refuse_repeated(table: pd.DataFrame, columns: list[str], path: Path) -> None:

@@ -90,6 +90,19 @@ def test_a_link_is_as_good_as_its_covariance_says(walks: Walks) -> None:
     assert 0.3 < ratio < 1.6
 
 
+@pytest.mark.parametrize("has_gravity", [True, False])
+def test_a_linked_model_without_a_vertical_is_as_upright_as_its_link(walks: Walks, has_gravity: bool) -> None:
+    scene = walks.make(**NOISE | {"sessions": 2})
+    split(scene, np.arange(95, 120))
+    drop(scene, np.arange(92, 95))
+    if not has_gravity:
+        scene.frames.loc[60:, ["gravity_x", "gravity_y", "gravity_z"]] = np.nan
+    gt = run(scene).ground_truth
+    turns = np.sqrt(np.array([np.diag(np.reshape(c, (6, 6)))[:3] for c in gt["covariance"].iloc[[10, 110]]]))
+    assert gt["gt_uses_vio"].iloc[110]
+    assert (turns[1, [0, 2]] > 3 * turns[0, [0, 2]]).all() == (not has_gravity)
+
+
 def test_link_covariance_is_that_of_samples() -> None:
     rng = np.random.default_rng(1)
     link = VioLink("walk", 1.0, 2.0, np.array([1.0, 2, 3]), 0.05, 0.02)

@@ -259,6 +259,7 @@ def test_a_point_may_have_a_name_that_tables_take_for_nothing(place: tuple[Scene
         ("point,x_m,y_m,z_m\na,0,0,zero\n", "", "a line isn't names and finite numbers"),
         ("point,x_m,y_m,z_m\na,0,0,NA\n", "", "a line isn't names and finite numbers"),
         ("point,x_m,y_m,z_m,sd_m\na,0,0,0,\nb,0,0,0,5 mm\n", "", "line 3"),
+        ("point,x_m,y_m,z_m\na,0,0,0\n\n,,,\nb,0,0,x\n", "", "line 5"),
         ("point,x_m,y_m,z_m\n,0,0,0\n", "", "a line isn't names and finite numbers"),
         ("point,x_m,y_m,z_m\na,0,0,0\na,1,0,0\n", "", "point are listed twice"),
         ("point,x_m,y_m,z_m\na,0,0,0\n", "walk0/000000,b,5,5\n", "aren't surveyed"),
