@@ -7,7 +7,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="sfm",
-    version=59,
+    version=60,
     settings=SfmSettings,
     needs=("import",),
     run=Lazy("groundwalk.sfm.stage:run"),

@@ -168,7 +168,7 @@ def _read(path: Path, names: list[str], *choices: list[str]) -> pd.DataFrame:
         table[name] = pd.to_numeric(table[name].str.replace(decimal, "."), errors="coerce")
         is_whole &= np.isfinite(table[name]) | may_be_missing
     if not is_whole.all():
-        line = int(is_whole.idxmin()) + 2
+        line = int(is_whole.index.to_numpy()[is_whole.argmin()]) + 2
         raise UserError("a line isn't names and finite numbers", where=f"{path}, line {line}", expected=expected)
     if table.empty:
         raise UserError("a file of control points has no lines", where=path, expected=expected)

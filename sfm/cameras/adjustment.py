@@ -159,7 +159,9 @@ def folded(bundle: Bundle, cameras: Cameras) -> np.ndarray:
     """Which observations (M,) are of points outside the field of view that the distortion polynomial, which isn't
     monotonic, folds back into the image. One of them can spoil a lens: it has far more leverage than any other."""
     limit_L = np.array([fold_radius(coefficients) for coefficients in cameras.coefficients])
-    return np.linalg.norm(_forward(bundle, cameras).ideal, axis=1) > limit_L[cameras.lens[bundle.frame]]
+    ideal = [_forward(_part(bundle, own), cameras).ideal for own in _chunks(bundle)]
+    radius = np.linalg.norm(np.concatenate([np.empty((0, 2)), *ideal]), axis=1)
+    return np.asarray(radius > limit_L[cameras.lens[bundle.frame]])
 
 
 @dataclass(frozen=True)
@@ -294,7 +296,6 @@ def regular_system(
     gradient[size:] = -of_shared @ scaled_pull
     for k in range(LENS_UNKNOWNS + 1):
         np.add.at(gradient, size + columns[:, k], pull[:, _LOCAL + k])
-    point_inverse = np.swapaxes(lower_inverse, 1, 2) @ lower_inverse
     position = bundle.sfm_T_cam[:, :3, 3]
     system = System(
         blocks=blocks,
@@ -302,7 +303,7 @@ def regular_system(
         of_points=local,
         of_points_shared=of_shared,
         gradient=gradient,
-        point_inverse=point_inverse,
+        point_root=lower_inverse,
         point_gradient=point_pull,
         information=information,
         gauge=np.zeros((size, 0)),
@@ -424,12 +425,12 @@ def adjust(bundle: Bundle, cameras: Cameras, priors: CameraPriors, *, rough: boo
         weight = cauchy_weights(linear.residual, wide_px)
         before = cost_of(linear.residual, cameras, wide_px, variance)
         system = regular_system(bundle, cameras, linear, weight, variance * information)
+        del linear  # for memory
         gradient = system.gradient + variance * (information @ (camera_unknowns(cameras) - prior_mean))
         diagonal = system.diagonal()
         for _ in range(_MAX_DAMPINGS):
             step = solver.solve(system, diagonal, damping, -gradient)
-            point_step = _point_step(bundle, cameras, linear, weight, system, step)
-            moved = with_step(bundle, cameras, step, point_step)
+            moved = with_step(bundle, cameras, step, system.point_step(step))
             residual = (project(*moved) - bundle.observed_px) / noise[bundle.point, None]
             cost = cost_of(residual, moved[1], wide_px, variance)
             if np.isfinite(cost) and cost <= before:
@@ -439,7 +440,7 @@ def adjust(bundle: Bundle, cameras: Cameras, priors: CameraPriors, *, rough: boo
         else:
             break
         bundle, cameras = moved
-        del linear, system  # two of them needn't fit into memory
+        del system  # two of them needn't fit into memory
         if before - cost < _MIN_COST_DECREASE * before:
             break
     return Adjusted(bundle, cameras, priors, loss_px, noise)
@@ -479,7 +480,7 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
     angular velocities that images rather than VIO tell; this is one Newton step towards the maximum with it (Laplace).
     """
     bundle, cameras = adjusted.bundle, adjusted.cameras
-    linear, weight, system = _normal_equations(adjusted)
+    system = _normal_equations(adjusted)
     variances, solved = _inverse(adjusted, system)
     variance = loss_variance(adjusted.loss_px)
     by_images = np.sum(1 - variances[1] / adjusted.priors.angular_sd**2, axis=1)
@@ -488,15 +489,14 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
     rolls = np.abs(cameras.readout_s) > _MIN_READOUT_S
     pull[readout[rolls]] = variance * np.bincount(cameras.lens, by_images)[rolls] / cameras.readout_s[rolls]
     step = -solved(pull)
-    still = replace(linear, residual=np.zeros_like(linear.residual))
     at_rest = replace(system, point_gradient=np.zeros_like(system.point_gradient))
-    moved = with_step(bundle, cameras, step, _point_step(bundle, cameras, still, weight, at_rest, step))
+    moved = with_step(bundle, cameras, step, at_rest.point_step(step))
     return replace(adjusted, bundle=moved[0], cameras=moved[1])
 
 
 def frame_variances(adjusted: Adjusted) -> tuple[Array, Array]:
     """The variances of each frame's focus (N,) and angular velocity (N, 3), rad^2/s^2, by images and priors."""
-    return _inverse(adjusted, _normal_equations(adjusted)[2])[0]
+    return _inverse(adjusted, _normal_equations(adjusted))[0]
 
 
 def _inverse(adjusted: Adjusted, system: System) -> tuple[tuple[Array, Array], Callable[[Array], Array]]:
@@ -525,12 +525,12 @@ def _inverse(adjusted: Adjusted, system: System) -> tuple[tuple[Array, Array], C
     return (focus, angular), lambda right: system.with_held(product(right[system.free]))
 
 
-def _normal_equations(adjusted: Adjusted) -> tuple[Linearization, Array, System]:
-    """At an adjusted model: linearization, weights (M,) and system."""
+def _normal_equations(adjusted: Adjusted) -> System:
+    """The system at an adjusted model."""
     linear = linearize(adjusted.bundle, adjusted.cameras).over(adjusted.noise_M)
     weight = cauchy_weights(linear.residual, adjusted.loss_px)
     information = loss_variance(adjusted.loss_px) * prior_information(adjusted.cameras, adjusted.priors)
-    return linear, weight, regular_system(adjusted.bundle, adjusted.cameras, linear, weight, information)
+    return regular_system(adjusted.bundle, adjusted.cameras, linear, weight, information)
 
 
 def loss_variance(loss_px: float) -> float:
@@ -558,16 +558,3 @@ def _stiffness(diagonal: Array, position_N3: Array) -> Array:
     directions = gauge.reshape(-1, 7)
     pose_diagonal = diagonal[: _LOCAL * frames].reshape(frames, _LOCAL)[:, :6].sum()
     return np.asarray(np.sqrt(pose_diagonal / np.sum(directions**2)) * directions)
-
-
-def _point_step(
-    bundle: Bundle, cameras: Cameras, linear: Linearization, weight: Array, system: System, step: Array
-) -> Array:
-    frames = len(bundle.sfm_T_cam)
-    local_step = step[: _LOCAL * frames].reshape(frames, _LOCAL)
-    camera_step = np.concatenate([local_step, step[_LOCAL * frames :][shared_columns(cameras)]], axis=1)
-    change = weight[:, None] * np.einsum("mij,mj->mi", linear.by_camera, camera_step[bundle.frame])
-    pull = system.point_gradient + summed(
-        np.einsum("mji,mj->mi", linear.by_point, change), bundle.point, len(bundle.xyz)
-    )
-    return -np.einsum("pij,pj->pi", system.point_inverse, pull)

@@ -31,11 +31,11 @@ _AT_ONCE = 500_000  # matches whose errors are worked out together, a kilobyte e
 @dataclass(frozen=True)
 class Matches:
     """M verified matches of the pairs that go into mapping: rows of two frames (M, 2), keypoints as extracted, px
-    (M, 2) each, and whether it was held out."""
+    (M, 2) each, and whether it was held out. Single precision, as COLMAP has keypoints: they are many."""
 
-    frames: Ints
-    xy_a: Array
-    xy_b: Array
+    frames: NDArray[np.int32]
+    xy_a: NDArray[np.float32]
+    xy_b: NDArray[np.float32]
     held_out: NDArray[np.bool_]
 
 
@@ -77,8 +77,8 @@ def write_mapping_input(verified: VerifiedPairs, target: Path, seed: int) -> Non
             database.write_two_view_geometry(image_id(a), image_id(b), geometry)
     start = np.concatenate([[0], np.cumsum(counts)])
     every = np.concatenate([np.empty((0, 2)), *read_keypoints(verified.features, len(frames))])
-    ends = pairs[pair_M]
-    xy_a, xy_b = (every[start[ends[:, side]] + match_M2[:, side]] for side in (0, 1))
+    ends = pairs[pair_M].astype(np.int32)
+    xy_a, xy_b = (every[start[ends[:, side]] + match_M2[:, side]].astype(np.float32) for side in (0, 1))
     np.savez(target.with_suffix(".npz"), frames=ends, xy_a=xy_a, xy_b=xy_b, held_out=out_M)
     # Last, so that the database is there only when all is.
     partial.replace(target)
@@ -119,12 +119,13 @@ def held_out_check(matches: Matches, cameras: Cameras, sfm_T_cam: Array, model_N
     focal = np.repeat(cameras.focal.mean(axis=1, keepdims=True), 2, axis=1)
     error_px = []
     for part in np.array_split(rows, len(rows) // _AT_ONCE + 1):
-        ray_a, sfm_T_a = _rays_of(cameras, sfm_T_cam, a[part], matches.xy_a[part])
-        ray_b, sfm_T_b = _rays_of(cameras, sfm_T_cam, b[part], matches.xy_b[part])
+        ray_a, sfm_T_a = _rays_of(cameras, sfm_T_cam, a[part], matches.xy_a[part].astype(float))
+        ray_b, sfm_T_b = _rays_of(cameras, sfm_T_cam, b[part], matches.xy_b[part].astype(float))
         error_px.append(sampson_px(relative(sfm_T_a, sfm_T_b), ray_a, ray_b, focal[a[part]], focal[b[part]]))
-    a, b, held_out = a[rows], b[rows], matches.held_out[rows]
-    columns = {"a": a, "b": b, "model": model_N[a], "held_out": held_out, "error_px": np.concatenate(error_px)}
-    return pd.DataFrame(columns).dropna().reset_index(drop=True)
+    error = np.concatenate(error_px)
+    rows, error = rows[np.isfinite(error)], error[np.isfinite(error)]
+    columns = {"a": a[rows], "b": b[rows], "model": model_N[a[rows]], "held_out": matches.held_out[rows]}
+    return pd.DataFrame(columns | {"error_px": error}, copy=False)
 
 
 def held_out_medians(check: pd.DataFrame, groups: pd.Series, count: int) -> pd.DataFrame:

@@ -97,8 +97,11 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
     fitted = np.sqrt(2 * track_length / np.where(is_held, 2 * track_length, np.maximum(2 * track_length - 3, 1)))
     fitted = fitted[bundle.point]
     force = _forces(linear, weight, fitted[:, None] * linear.residual, bundle.point, system.point_inverse)
-    by_keypoint = _rows_of_unknowns(force, adjusted, keypoint_P[bundle.point], keypoints)
+    of_centres = _of_centres(adjusted, linear, weight, system.point_inverse)
     by_rows, by_region = coherence(adjusted, linear.residual, keypoint_P)
+    del linear  # for memory, as below
+    by_keypoint = _rows_of_unknowns(force, adjusted, keypoint_P[bundle.point], keypoints)
+    del force
     free, is_free = system.free, ~np.isin(np.arange(frames), bundle.held_frames)
     by_keypoint, information = by_keypoint[free], information[free][:, free]
     gauge, h = _gauge_of(bundle.sfm_T_cam[is_free, :3, 3])
@@ -118,7 +121,7 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
         return None
     # The part of the keypoints grows with what they have in common, that of the priors doesn't.
     by_keypoints = of_shared @ by_keypoint
-    by_centres = of_shared @ _of_centres(adjusted, linear, weight, system.point_inverse)[free]
+    by_centres = of_shared @ of_centres[free]
     shared = max(by_rows, by_region) * by_keypoints @ by_keypoints.T + by_centres @ by_centres.T
     shared += variance**2 * of_shared @ (information @ of_shared.T)
     return Covariances(SHARED_ERRORS * by_rows * poses, shared, by_rows, by_region)
