@@ -274,8 +274,8 @@ def refusal(checked: CheckedMap, frames: pd.DataFrame, settings: AlignSettings) 
     """Why there is no ground truth at all, if there isn't; counted over the frames of the dataset."""
     dataset = ~frames["support"].to_numpy(bool)
     registered, passed = checked.frames.registered[dataset], checked.frames.has_ground_truth[dataset]
-    registered_fraction = registered.mean()
-    if registered_fraction < settings.min_registered_fraction:
+    registered_fraction = registered.sum() / max(1, len(registered))
+    if registered_fraction < settings.min_registered_fraction or not registered.any():
         return UserError(
             "SfM registered too few frames for ground truth",
             where="sfm.images",

@@ -396,7 +396,7 @@ def held_frames(r: StageRun[ImportSettings], frames: pd.DataFrame, left_out: Map
             "import chooses other frames of the recordings that were there",
             found=f"{len(now)} frames, {len(then)} before",
             expected="the same frames: no change of the captures, of import's settings, or of how densely it samples",
-            do="with --refine everything is made anew",
+            do="undo that change, or make everything anew by groundwalk run",
         )
     for session_id in sorted(sessions - known):
         of_session = frames[frames["session_id"] == session_id]

@@ -200,9 +200,10 @@ def test_support_frames_that_are_not_registered_cost_the_dataset_nothing(walks: 
     registered = aligned.checks[aligned.checks["check"] == "registered"]
     assert registered[["frames", "value"]].to_numpy().tolist() == [[60, 1.0]]
     scene.images["registered"] = scene.frames["support"]
-    with pytest.raises(UserError, match="too few frames") as error:
-        run(scene)
-    assert "0 of 60" in str(error.value)
+    for least in (0.9, 0.0):
+        with pytest.raises(UserError, match="too few frames") as error:
+            run(scene, min_registered_fraction=least)
+        assert "0 of 60 (0%)" in str(error.value)
 
 
 @pytest.mark.parametrize(("of_three", "what"), [(0, "registered no frame"), (1, "too few frames")])
