@@ -38,7 +38,9 @@ def report_attempts(r: StageRun[SfmSettings], attempts: list[Attempt], best: Att
         raise UserError("no model of the frames", expected=f"some of {frames} frames in one", found=found, do=do)
     if best.outcome is AttemptOutcome.TOO_FEW_REGISTERED:
         limit = setting_of("align", "min_registered_fraction")
-        r.say(f"only {best.registered} of {frames} frames registered, which align refuses unless {limit} is lower: {do}")
+        r.say(
+            f"only {best.registered} of {frames} frames registered, which align refuses unless {limit} is lower: {do}"
+        )
     if best.outcome is AttemptOutcome.INCONSISTENT_WITH_VIO:
         why = f"further attempts wouldn't help: {best.input_fault}; " if best.input_fault else ""
         r.say(

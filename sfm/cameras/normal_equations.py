@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, lapack, pinvh
-from scipy.sparse import bsr_array, csr_array, diags_array, lil_array
+from scipy.sparse import block_diag, bsr_array, csr_array, diags_array, eye_array
 from scipy.sparse.linalg import LinearOperator, cg
 
 from groundwalk.geometry.poses import Array, skew
@@ -128,20 +128,25 @@ class System:
         product[self.size :] -= self.of_points_shared @ by_points
         return np.asarray(product.reshape(x.shape))
 
-    def restricted(self, x: csr_array) -> Array:
-        """x^T matrix x (k, k), of sparse columns x (l N + G, k)."""
-        frames, points = len(self.blocks), len(self.point_root)
+    def restricted(self, motions: bsr_array) -> Array:
+        """x^T matrix x (k + G, k + G), where x is `motions` (l N, k), blocks of all frames' unknowns, and the unknowns
+        that frames share."""
+        frames, points, k = len(self.blocks), len(self.point_root), motions.shape[1]
+        x = block_diag([motions, eye_array(len(self.gradient) - self.size)], format="csr")
         of_frames = np.concatenate([np.arange(self.size).reshape(frames, -1), self.size + self.columns], axis=1)
         blocks, x_of_frames = bsr_array((self.blocks, np.arange(frames), np.arange(frames + 1))), x[of_frames.ravel()]
-        by_gauge = self.gauge.T @ x[: self.size]
         product = (x_of_frames.T @ (blocks @ x_of_frames) + x.T @ (self.information @ x)).toarray()
-        product += by_gauge.T @ by_gauge
+        by_gauge = self.gauge.T @ motions
+        product[:k, :k] += by_gauge.T @ by_gauge
         for first in range(0, points, _POINTS):
             rows = np.arange(first, min(first + _POINTS, points))
-            of_shared = csr_array(self.of_points_shared[:, 3 * first : 3 * first + 3 * len(rows)].T)
-            pulled = csr_array(_rows_of(self._of_points_T, rows)) @ x[: self.size] + of_shared @ x[self.size :]
-            by_point = pulled.toarray()  # hardly sparse, as a point is seen from many clusters
-            product -= by_point.T @ by_point
+            pulled = _rows_of(self._of_points_T, rows) @ motions
+            of_shared = self.of_points_shared[:, 3 * first : 3 * first + 3 * len(rows)]
+            with_shared = of_shared @ pulled
+            product[:k, :k] -= (pulled.T @ pulled).toarray()
+            product[k:, :k] -= with_shared
+            product[:k, k:] -= with_shared.T
+            product[k:, k:] -= of_shared @ of_shared.T
         return np.asarray(product)
 
     def part(self, frames: NDArray[np.int64]) -> Array:
@@ -257,15 +262,16 @@ class Preconditioner:
             cho_factor(system.part(members) + np.diag(damped[index]), lower=True, overwrite_a=True)
             for members, index in zip(clusters, self._index, strict=True)
         ]
-        motions = lil_array((total, 7 * len(clusters) + total - self._size))
-        for k, (members, index) in enumerate(zip(clusters, self._index, strict=True)):
-            of_frame = np.zeros((len(members), local, 7))
-            of_frame[:, :6] = similarities(system.position[members])
-            motions[index, 7 * k : 7 * k + 7] = of_frame.reshape(-1, 7)
-        motions[self._size :, 7 * len(clusters) :] = np.eye(total - self._size)
-        self._motions = csr_array(motions)
+        of_frame = np.zeros((frames, local, 7))
+        cluster = np.empty(frames, np.int64)
+        for k, members in enumerate(clusters):
+            cluster[members] = k
+            of_frame[members, :6] = similarities(system.position[members])
+        shape = (self._size, 7 * len(clusters))
+        motions = bsr_array((of_frame, cluster, np.arange(frames + 1)), shape=shape)
+        self._motions = block_diag([motions, eye_array(total - self._size)], format="csr")
         of_damped = (self._motions.T @ (diags_array(damped) @ self._motions)).toarray()
-        self._coarse = pinvh(system.restricted(self._motions) + of_damped)
+        self._coarse = pinvh(system.restricted(motions) + of_damped)
 
     def variances(self) -> Array:
         """The inverse's diagonal (l N,) of the frames' unknowns, as far as their clusters tell, with the other frames
