@@ -11,7 +11,7 @@ from groundwalk.cli import stage_of
 from groundwalk.simulation.existing import is_up_to_date as captures_are_up_to_date
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.store.errors import UserError
-from groundwalk.store.files import read_json
+from groundwalk.store.files import STOPPED, partial_folder, read_json
 from groundwalk.store.hints import simulate_command
 from groundwalk.store.inputs import has_capture_files, hashes_of_named, no_captures
 from groundwalk.store.manifests import MANIFEST
@@ -84,6 +84,7 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
     for step, following in zip(commands, [*commands[1:], None], strict=True):
         if is_step_up_to_date(step, profile, data):
             console.print(f"{step.command} · {step.scene} · {profile}: up to date")
+            (partial_folder(data.run(profile, step.scene, step.command)) / STOPPED).unlink(missing_ok=True)
             usual_s[step] = 0.0
             continue
         console.print(_how_far(step, usual_s, took_s))

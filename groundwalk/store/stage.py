@@ -199,6 +199,7 @@ def execute(
         title = f"{stage.name} · {scene_name} · {profile}"
         if not force and job.is_current():
             progress.console.print(f"{title}: up to date")
+            (partial_folder(final) / STOPPED).unlink(missing_ok=True)  # with settings that were taken back
             return final
 
         work = partial_folder(final)

@@ -14,6 +14,7 @@ import pytest
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import DataRoot, Settings, Stage, StageRun, UserError, execute
 from groundwalk.store import stage as stage_module
+from groundwalk.store.files import STOPPED, partial_folder
 from groundwalk.store.hints import setting_of
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.tables import pose_frame
@@ -85,8 +86,11 @@ def test_second_run_does_nothing_and_a_change_runs_again(data: DataRoot, capsys:
     assert first["simulated"] is False
     assert not (folder / "scratch").exists()
 
+    # Settings that were refused meanwhile, and then taken back.
+    (stopped := partial_folder(folder) / STOPPED).parent.mkdir()
+    stopped.write_text('{"what": "no model"}')
     execute(STAGE, "place", "own", data)
-    assert "up to date" in capsys.readouterr().err
+    assert "up to date" in capsys.readouterr().err and not stopped.exists()
     assert load_manifest(folder) == first
 
     execute(STAGE, "place", "own", data, ["rows=4"])
