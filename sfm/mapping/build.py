@@ -45,7 +45,7 @@ def build_models(
     """Map verified pairs; `output` then holds what `read_built` reads and the folders that it names.
 
     Mapping begins with a pair of images or, where they are given, with the poses `start_T_cam` (N, 4, 4; NaN for none).
-    Of many frames it has some matches of each pair (module `thinning`); the others' points are triangulated after it.
+    Of many frames it has some matches of each pair (module `thinning`); selected models get the points of all.
     Where the largest of the models lacks images, a second mapping continues from it with fewer inliers needed to
     register one, and a third one where that found some. The largest of all is selected, and of the others those that
     have ten or more frames that no larger one has; a frame stays in the largest that has it. Each is adjusted once more
@@ -54,8 +54,12 @@ def build_models(
     model that its images don't determine isn't selected. The largest comes first, and its lenses are the prior of the
     others'. A stated lens is held unless the images deny it (module `stated`).
     """
-    work = _begun(verified, source, output)
-    built = _map(report, source, len(verified.frames), settings.mapper, start_T_cam, work)
+    work, count = _begun(verified, source, output), len(verified.frames)
+    is_thinned = start_T_cam is None and is_large(count)
+    first = replace(source, database=work / "thinned.db") if is_thinned else source
+    if is_thinned:
+        write_thinned(source.database, first.database, source.seed)
+    built = _map(report, first, count, settings.mapper, start_T_cam, work)
     # Not before, for memory.
     matches, keypoints = _matches_and_keypoints(verified, source)
     assigned: set[int] = set()
@@ -66,6 +70,9 @@ def build_models(
             continue
         for other in set(model.reg_frame_ids()) & assigned:
             model.deregister_frame(other)
+        if is_thinned:
+            (folder := work / f"all_matches_{index}").mkdir()
+            model = with_all_matches(source, model, folder)
         try:
             log = log.at_middle_rows(model)
             log, checks = check_stated(model, matches, keypoints, log, settings, Held())
@@ -121,14 +128,8 @@ def _map(
     if start_T_cam is not None:
         mapper, models = "posed", [from_poses(source, start_T_cam, work / mapper)]
     else:
-        first = source
-        if is_large(frames):
-            first = replace(source, database=work / "thinned.db")
-            write_thinned(source.database, first.database, source.seed)
         with MAPPERS.guard(mapper):
-            models = MAPPERS.find(mapper).run(first, work / mapper, report_one)
-        if is_large(frames):
-            models = [with_all_matches(source, model, work / mapper) for model in models]
+            models = MAPPERS.find(mapper).run(source, work / mapper, report_one)
     built = [(BuiltModel.of(mapper, number, model), model) for number, model in enumerate(models)]
     for number in range(_MAX_CONTINUED):
         largest = max(built, key=_size, default=None)

@@ -1,6 +1,7 @@
 """COLMAP's synthetic model of six cameras around some points, and its log as a phone would write it."""
 
 import numpy as np
+import pandas as pd
 import pycolmap
 
 from groundwalk.geometry.poses import inverse, make_pose
@@ -18,18 +19,26 @@ def synthetic_model() -> pycolmap.Reconstruction:
 
 def log_of(model: pycolmap.Reconstruction, settings: SfmSettings | None = None) -> CameraLog:
     """The model's cameras as a phone would log them, and its poses as odometry."""
-    cam_T_sfm = np.stack([model.image(row + 1).cam_from_world().matrix() for row in range(6)])
+    frames = frames_of(model)
+    log = frames.filter(regex="session_id|t_ns|vio_cam")
+    return camera_log(frames, {"walk": "phone"}, log, log[:0], settings or SfmSettings(lens="stated"))
+
+
+def frames_of(model: pycolmap.Reconstruction) -> pd.DataFrame:
+    """The model's images as import's frames of one session."""
+    count = model.num_images()
+    cam_T_sfm = np.stack([model.image(row + 1).cam_from_world().matrix() for row in range(count)])
     poses = inverse(make_pose(cam_T_sfm[:, :, :3], cam_T_sfm[:, :, 3]))
-    frames = pose_frame("vio_cam", poses).assign(session_id="walk", t_ns=np.arange(6) * 1_000_000_000)
-    cameras = [model.camera(row + 1) for row in range(6)]
+    frames = pose_frame("vio_cam", poses).assign(session_id="walk", t_ns=np.arange(count) * 1_000_000_000)
+    cameras = [model.camera(model.image(row + 1).camera_id) for row in range(count)]
     focal = [camera.mean_focal_length() for camera in cameras]
     frames = frames.assign(first_row="top", fx=focal, fy=focal, cx=cameras[0].width / 2, cy=cameras[0].height / 2)
-    frames = frames.assign(
+    return frames.assign(
+        frame_id=[f"walk/{row:06d}" for row in range(count)],
+        image=[f"walk/{row:06d}.jpg" for row in range(count)],
         width=cameras[0].width,
         height=cameras[0].height,
-        distortion=cells([[0.0] * 4] * 6),
+        distortion=cells([[0.0] * 4] * count),
         stated_readout_s=np.nan,
         focal_sd=0.0,
     )
-    log = frames[["session_id", "t_ns", *pose_frame("vio_cam", poses).columns]]
-    return camera_log(frames, {"walk": "phone"}, log, log[:0], settings or SfmSettings(lens="stated"))

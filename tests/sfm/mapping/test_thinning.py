@@ -10,8 +10,13 @@ import pytest
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.sfm.database import image_id, pose_of
 from groundwalk.sfm.mapping import build, thinning
+from groundwalk.sfm.mapping.held_out import VerifiedPairs
 from groundwalk.sfm.mapping.thinning import chosen_matches, write_thinned
+from groundwalk.sfm.model import read_built, selected_models
+from groundwalk.sfm.plugins import MappingInput
+from groundwalk.sfm.settings import SfmSettings
 from tests.sfm.mapping.test_mappers import synthetic
+from tests.sfm.synthetic_model import frames_of, log_of
 
 
 def test_pairs_choose_the_same_tracks_however_many_have_wrong_matches(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,13 +52,21 @@ def test_what_is_left_are_matches_of_the_same_keypoints(tmp_path: Path, monkeypa
 def test_many_frames_come_out_as_if_they_were_mapped_by_all_matches(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given, true = synthetic(tmp_path, 8)
+    pinhole = {"camera_model_id": pycolmap.CameraModelId.SIMPLE_PINHOLE, "camera_params": [1280, 512, 384]}
+    given, true = synthetic(tmp_path, 8, **pinhole)
+    settings = SfmSettings(lens="stated")
+    frames, log = frames_of(true), log_of(true, settings)
+    pairs = np.array(list(itertools.combinations(range(8), 2)))
+    verified = VerifiedPairs(frames=frames, pairs=pairs, matched=given.database, features=given.database)
     models = {}
     for is_large in (False, True):
         monkeypatch.setattr(build, "is_large", lambda frames, is_large=is_large: is_large)
-        (work := tmp_path / str(is_large)).mkdir()
-        ((entry, models[is_large]),) = build._map(_no_report, given, 8, "incremental", None, work)
-        assert entry.images == 8 and (work / "thinned.db").is_file() == is_large
+        source, output = MappingInput(tmp_path / f"{is_large}.db", tmp_path, 0), tmp_path / str(is_large)
+        build.build_models(_no_report, verified, source, log, settings, output)
+        assert (output / "thinned.db").is_file() == is_large
+        (entry,) = selected_models(read_built(output))
+        assert entry.images == 8
+        models[is_large] = pycolmap.Reconstruction(output / entry.folder)
     assert models[True].compute_num_observations() > 0.99 * models[False].compute_num_observations()
     true_T, found_T = (np.stack([pose_of(m.image(image_id(row))) for row in range(8)]) for m in (true, models[True]))
     assert np.abs(fit_sim3(true_T[:, :3, 3], found_T[:, :3, 3]).poses(found_T) - true_T).max() < 1e-3
