@@ -279,7 +279,7 @@ def refusal(checked: CheckedMap, frames: pd.DataFrame, settings: AlignSettings) 
         return UserError(
             "SfM registered too few frames for ground truth",
             where="sfm.images",
-            expected=f"at least {settings.min_registered_fraction:.0%} of them",
+            expected=f"at least {settings.min_registered_fraction:.0%} of them, and one",
             found=f"{registered.sum()} of {len(registered)} ({registered_fraction:.0%})",
             do=DEFINITIONS[CheckName.REGISTERED].remedy,
         )

@@ -87,10 +87,8 @@ def with_all_matches(source: MappingInput, model: pycolmap.Reconstruction, folde
     for i in model.reg_image_ids():
         sfm_T_cam[i - image_id(0)] = pose_of(model.image(i))
     options = pipeline_options(source)
-    limit_px, options.triangulation.merge_max_reproj_error = (
-        options.triangulation.merge_max_reproj_error,
-        _NO_MERGING_PX,
-    )
+    limit_px = options.triangulation.merge_max_reproj_error
+    options.triangulation.merge_max_reproj_error = _NO_MERGING_PX
     model = pycolmap.triangulate_points(
         _of_poses(source, sfm_T_cam), source.database, source.images, folder, options=options
     )

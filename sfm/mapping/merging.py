@@ -4,6 +4,8 @@ COLMAP's merging takes two points at a time, rebuilds their track and looks thro
 of what one place is seen by, and at 10,000 frames most of the time of triangulating.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
@@ -46,7 +48,8 @@ def merge_points(model: pycolmap.Reconstruction, matched_K2: Ints, start_N: Ints
     own = own[np.argsort(track_P[point_M[own]], kind="stable")]
     tracks, starts = np.unique(track_P[point_M[own]], return_index=True)
     element_M2 = np.column_stack([rows[frame_M[own]] + image_id(0), feature_M[own]])
-    for track, first, last in zip(tracks.tolist(), starts.tolist(), [*starts[1:].tolist(), len(own)], strict=False):
+    bounds = pairwise([*starts.tolist(), len(own)])
+    for track, (first, last) in zip(tracks.tolist(), bounds, strict=True):
         elements = [pycolmap.TrackElement(*element) for element in element_M2[first:last].tolist()]
         model.add_point3D(track_xyz[track], pycolmap.Track(elements))
 
@@ -118,9 +121,5 @@ def _joined(
     key = pair_K2[is_pair] @ [int(pair_K2.max(initial=0)) + 1, 1]
     _, first, number = np.unique(key, return_index=True, return_inverse=True)
     first_K = np.flatnonzero(is_pair)[first]
-    return (
-        pair_K2[first_K],
-        match_K2[first_K],
-        np.bincount(number, weight_K[is_pair]).astype(float),
-        is_tried_K[first_K],
-    )
+    weight = np.bincount(number, weight_K[is_pair]).astype(float)
+    return pair_K2[first_K], match_K2[first_K], weight, is_tried_K[first_K]
