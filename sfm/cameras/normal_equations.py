@@ -241,7 +241,7 @@ class Solver:
         self._factor = None  # two of them don't fit into memory
         matrix = system.matrix()
         matrix[np.diag_indices_from(matrix)] += damping * diagonal
-        self._factor = cho_factor(matrix, lower=True, overwrite_a=True)
+        self._factor = cho_factor(matrix.T, overwrite_a=True)  # transposed, for LAPACK's order: not copied
         return np.asarray(cho_solve(self._factor, right))
 
 
@@ -350,10 +350,12 @@ class IterativeSolver:
 def inverse_of(matrix: Array) -> Array:
     """The inverse of a positive definite matrix (n, n) in its lower triangle, which is overwritten; LinAlgError where
     it is singular."""
-    triangle = cholesky(matrix, lower=True, overwrite_a=True)
-    inverse, info = lapack.dpotri(triangle, lower=True, overwrite_c=True)
+    # Transposed, it is in LAPACK's order, and isn't copied.
+    triangle = cholesky(matrix.T, overwrite_a=True)
+    upper, info = lapack.dpotri(triangle, overwrite_c=True)
     if info:
         raise LinAlgError("the reduced camera system is singular")
+    inverse = upper.T
     for first in range(0, len(inverse), _ROWS):
         last = min(first + _ROWS, len(inverse))
         corner = np.tril(inverse[first:last, first:last])

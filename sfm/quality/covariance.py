@@ -43,7 +43,7 @@ _KEYPOINTS_PER_UNKNOWN = 2
 SHARED_ERRORS = 1.7
 # Parts of the image in which errors of the cameras' model are alike.
 _BANDS, _COLUMNS = 6, 8
-_CHUNK = 64  # frames at once, for memory
+_CHUNK = 16  # frames at once, for memory
 # Samples of large models' errors, by which their standard deviations are known to 9 %, and those at once, for memory.
 _SAMPLES, _AT_ONCE = 60, 30
 
@@ -116,7 +116,7 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
         else:
             inverse = inverse_of(system.of_free.matrix())
             of_shared = inverse[10 * free_frames :]
-            poses[is_free] = _gauge_free_sandwich(inverse, _dense(by_keypoint, variance**2 * information), gauge, h)
+            poses[is_free] = _gauge_free_sandwich(inverse, by_keypoint, variance**2 * information, gauge, h)
     except LinAlgError:
         return None
     # The part of the keypoints grows with what they have in common, that of the priors doesn't.
@@ -146,16 +146,6 @@ def _sampled_covariances(
     # So few samples may have missed where errors are large: so much larger, squared errors over them are as expected
     # (the mean of an inverse Wishart distribution).
     return of_shared.T, moved @ np.swapaxes(moved, 1, 2) / (_SAMPLES - 6 - 1)
-
-
-def _dense(by_keypoint: csr_array, information: csr_array) -> Array:
-    """by_keypoint @ by_keypoint^T + information (n, n); the product isn't formed at once, as it is hardly sparse."""
-    middle = information.toarray()
-    transposed = by_keypoint.T.tocsr()
-    for first in range(0, len(middle), 10 * _CHUNK):
-        rows = slice(first, first + 10 * _CHUNK)
-        middle[rows] += (by_keypoint[rows] @ transposed).toarray()
-    return middle
 
 
 def _of_centres(adjusted: Adjusted, linear: Linearization, weight_M: Array, point_inverse: Array) -> Array:
@@ -254,26 +244,27 @@ def _gauge_of(position_N3: Array) -> tuple[Array, Array]:
     return gauge, np.asarray(np.linalg.solve(positions.T @ gauge, positions.T), float)
 
 
-def _gauge_free_sandwich(inverse: Array, middle: Array, gauge: Array, h: Array) -> Array:
-    """The poses' (N, 6, 6) diagonal blocks of inverse @ middle @ inverse where no similarity of all positions is left.
+def _gauge_free_sandwich(
+    inverse: Array, by_keypoint: csr_array, information: csr_array, gauge: Array, h: Array
+) -> Array:
+    """The poses' (N, 6, 6) diagonal blocks of inverse @ (by_keypoint @ by_keypoint^T + information) @ inverse where no
+    similarity of all positions is left.
 
     S-transformation: X -> P X P^T with P = 1 - gauge h, h = (positions^T gauge)^-1 positions^T, both 0 where something
-    else holds the gauge. Only its blocks are needed.
+    else holds the gauge. Only its blocks are needed, and the middle isn't formed, as it is hardly sparse.
     """
-    frames = len(gauge) // 6
-    index = local_unknowns(frames)[:, :6]
-    h_of_all = np.zeros((7, len(inverse)))
-    h_of_all[:, index.ravel()] = h
-    h_inverse = h_of_all @ inverse
-    h_middle = h_inverse @ middle
-    of_h = (inverse @ h_middle.T)[index]
-    blocks = np.empty((frames, 6, 6))
-    for first in range(0, frames, _CHUNK):
-        chunk = slice(first, min(first + _CHUNK, frames))
-        rows = inverse[index[chunk].ravel()]
-        left = (rows @ middle).reshape(-1, 6, len(inverse))
-        blocks[chunk] = left @ np.swapaxes(rows.reshape(-1, 6, len(inverse)), 1, 2)
-    gauge_N67 = gauge.reshape(frames, 6, 7)
-    gauge_T = np.swapaxes(gauge_N67, 1, 2)
-    cross = of_h @ gauge_T
-    return blocks - cross - np.swapaxes(cross, 1, 2) + gauge_N67 @ (h_middle @ h_inverse.T) @ gauge_T
+    index, keypoint_rows = local_unknowns(len(gauge) // 6)[:, :6].ravel(), by_keypoint.T.tocsr()
+    of_all = np.zeros((len(h), len(inverse)))
+    of_all[:, index] = h
+    of_gauge, blocks = of_all @ inverse, [np.empty((0, 6, 6))]
+    for first in range(0, len(index), 6 * _CHUNK):
+        chunk = slice(first, first + 6 * _CHUNK)
+        rows = inverse[index[chunk]] - gauge[chunk] @ of_gauge
+        by_keypoints = np.ascontiguousarray((keypoint_rows @ rows.T).T)
+        blocks.append(_blocks(by_keypoints, by_keypoints) + _blocks(rows @ information, rows))
+    return np.concatenate(blocks)
+
+
+def _blocks(a: Array, b: Array) -> Array:
+    """The (N, 6, 6) diagonal blocks of a @ b^T, of 6 N rows each."""
+    return a.reshape(-1, 6, a.shape[1]) @ np.swapaxes(b.reshape(-1, 6, b.shape[1]), 1, 2)
