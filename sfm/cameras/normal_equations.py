@@ -234,7 +234,9 @@ class Solver:
             return solver.solve(right, _STEP_TOLERANCE, _MAX_STEP_ITERATIONS)[0]
         if self._factor is not None:
             factor = self._factor
-            precondition = LinearOperator(shape, lambda x: cho_solve(factor, x / unit) / unit, dtype=float)
+            precondition = LinearOperator(
+                shape, lambda x: cho_solve(factor, x / unit, check_finite=False) / unit, dtype=float
+            )
             x, unfinished = cg(scaled, unit * right, rtol=_TOLERANCE, maxiter=_MAX_ITERATIONS, M=precondition)
             if not unfinished:
                 return np.asarray(unit * x)
@@ -285,7 +287,7 @@ class Preconditioner:
         """The product with columns (l N + G, k)."""
         x = self._motions @ (self._coarse @ (self._motions.T @ right))
         for index, factor in zip(self._index, self._factors, strict=True):
-            x[index] += cho_solve(factor, right[index])
+            x[index] += cho_solve(factor, right[index], check_finite=False)
         return np.asarray(x)
 
 
