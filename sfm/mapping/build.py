@@ -24,6 +24,7 @@ from groundwalk.sfm.model import BuiltModel, add_image, renumbered, write_built
 from groundwalk.sfm.plugins import MAPPERS, MappingInput
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store.child import Report
+from groundwalk.store.memory import give_back_freed_memory
 
 _MAX_CONTINUED = 2
 # Fewer frames, in no larger model, are as often wrong as right, and align can't tell: VIO's windows are longer.
@@ -60,6 +61,7 @@ def build_models(
     if is_thinned:
         write_thinned(source.database, first.database, source.seed)
     built = _map(report, first, count, settings.mapper, start_T_cam, work)
+    give_back_freed_memory()
     # Not before, for memory.
     matches, keypoints = _matches_and_keypoints(verified, source)
     assigned: set[int] = set()

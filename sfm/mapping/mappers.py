@@ -9,8 +9,8 @@ import pycolmap
 from groundwalk.geometry.poses import Array, inverse
 from groundwalk.sfm.database import image_id, pose_of
 from groundwalk.sfm.mapping.merging import merge_points
-from groundwalk.sfm.mapping.thinning import matched_features
 from groundwalk.sfm.plugins import MappingInput
+from groundwalk.store.memory import give_back_freed_memory
 
 MIN_MODEL_FRAMES = 3
 _EXPLAINED_FRACTION = 0.001  # of an image's longer side
@@ -89,12 +89,14 @@ def with_all_matches(source: MappingInput, model: pycolmap.Reconstruction, folde
     options = pipeline_options(source)
     limit_px = options.triangulation.merge_max_reproj_error
     options.triangulation.merge_max_reproj_error = _NO_MERGING_PX
+    options.ba_global_max_refinements = 0  # points are adjusted with the cameras, in less memory
     model = pycolmap.triangulate_points(
         _of_poses(source, sfm_T_cam), source.database, source.images, folder, options=options
     )
-    start, _, _, feature_M2 = matched_features(source.database)
-    merge_points(model, feature_M2, start, limit_px)
+    give_back_freed_memory()
+    merge_points(model, source.database, limit_px)
     model.update_point_3d_errors()
+    give_back_freed_memory()
     return model
 
 

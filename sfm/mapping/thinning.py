@@ -7,6 +7,7 @@ again. Some matches of each pair place a camera as well as some hundreds, if the
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -18,7 +19,7 @@ _MATCHES_PER_PAIR = 64
 _NEIGHBOURS = 2
 
 
-def chosen_matches(pair_M: Ints, feature_M2: Ints, features: int, seed: int) -> NDArray[np.bool_]:
+def chosen_matches(pair_M: Ints, feature_M2: NDArray[np.integer[Any]], features: int, seed: int) -> NDArray[np.bool_]:
     """Which of M matches, sorted by their pairs, are mapped first, (M,): all of pairs that have few, and of others
     those of the features (M, 2; numbered through all frames) that draw the highest number.
 
@@ -39,7 +40,7 @@ def chosen_matches(pair_M: Ints, feature_M2: Ints, features: int, seed: int) -> 
     return chosen
 
 
-def matched_features(database: Path) -> tuple[Ints, Ints, list[pycolmap.TwoViewGeometry], Ints]:
+def matched_features(database: Path) -> tuple[Ints, Ints, list[pycolmap.TwoViewGeometry], NDArray[np.int32]]:
     """Of a database of N frames: the number of each one's first feature and of all (N + 1,), where all frames' are
     numbered through; the rows of verified pairs (P, 2), their geometries, and the features that these match (M, 2)."""
     with pycolmap.Database.open(database) as opened:
@@ -47,8 +48,9 @@ def matched_features(database: Path) -> tuple[Ints, Ints, list[pycolmap.TwoViewG
         pair_ids, geometries = opened.read_two_view_geometries()
     start = np.concatenate([[0], np.cumsum(keypoint_counts(database, frames))])
     ends = np.array([pycolmap.pair_id_to_image_pair(i) for i in pair_ids], np.int64).reshape(-1, 2) - image_id(0)
-    of_pairs = [start[rows] + one.inlier_matches for rows, one in zip(ends, geometries, strict=True)]
-    return start, ends, geometries, np.concatenate([np.empty((0, 2), np.int64), *of_pairs])
+    # Single precision, as they are many.
+    of_pairs = [(start[rows] + g.inlier_matches).astype(np.int32) for rows, g in zip(ends, geometries, strict=True)]
+    return start, ends, geometries, np.concatenate([np.empty((0, 2), np.int32), *of_pairs])
 
 
 def write_thinned(source: Path, target: Path, seed: int) -> None:

@@ -8,7 +8,6 @@ import pycolmap
 import pytest
 
 from groundwalk.sfm.mapping.merging import merge_points, merged_tracks
-from groundwalk.sfm.mapping.thinning import matched_features
 from tests.sfm.mapping.test_mappers import synthetic
 
 
@@ -46,8 +45,7 @@ def test_a_model_whose_tracks_were_torn_has_them_again(tmp_path: Path) -> None:
             if len(half) > 1:
                 model.add_point3D(xyz, pycolmap.Track([pycolmap.TrackElement(*one) for one in half]))
     torn = {_elements(point.track) for point in model.points3D.values()}
-    start, _, _, feature_M2 = matched_features(given.database)
-    merge_points(model, feature_M2, start, 4.0)
+    merge_points(model, given.database, 4.0)
     merged = {_elements(point.track) for point in model.points3D.values()}
     assert len(torn & whole) == 0 and len(merged & whole) > 0.9 * len(whole)
     assert all(one.isdisjoint(other) for one, other in itertools.combinations(merged, 2))
