@@ -81,8 +81,9 @@ def merged_tracks(
     """Which track each of P points is of (P,), and where the T tracks are (T, 3), the means by their observations.
 
     Observation m of a point is from `centre_M3[m]` along `ray_M3[m]`, and off by at most `limit_M[m]` rad; `match_K2`
-    are two observations each of what may be one track. In each round, pairs of tracks that have more matches with each
-    other than with any other are merged if all of their observations are within their limits of the mean.
+    are two observations each of what may be one track. In each round pairs of tracks that have a match, drawn at
+    random, are merged if all of their observations are within their limits of the mean. If those with most matches came
+    first, tracks of one walk each would be left: grown, those of walks that have drifted apart are no longer merged.
     """
     track_P, xyz = np.arange(len(xyz_P3), dtype=np.int32), xyz_P3.copy()
     size = np.bincount(point_M, minlength=len(xyz)).astype(float)
@@ -93,11 +94,11 @@ def merged_tracks(
         cosine = np.sum(along * ray_M3[observation], axis=1) / np.linalg.norm(along, axis=1)
         return np.asarray(~(cosine >= cosine_M[observation]))
 
-    # Each pair of tracks once, with one of its matches and how many it has.
-    pair, match, weight = point_M[match_K2], match_K2, np.ones(len(match_K2))
+    # Each pair of tracks once, with one of its matches.
+    pair, match = point_M[match_K2], match_K2
     is_tried = np.zeros(len(pair), bool)
     for _ in range(_MAX_ROUNDS):
-        pair, match, weight, is_tried = _joined(pair, match, weight, is_tried)
+        pair, match, is_tried = _joined(pair, match, is_tried)
         middle = np.sum(size[pair, None] * xyz[pair], axis=1) / np.sum(size[pair], axis=1)[:, None]
         untried = np.flatnonzero(~is_tried)
         for side in (0, 1):
@@ -105,7 +106,7 @@ def merged_tracks(
         untried = untried[~is_tried[untried]]
         if not len(untried):
             break
-        score, best = weight[untried] + rng.random(len(untried)), np.zeros(len(xyz))
+        score, best = rng.random(len(untried)), np.zeros(len(xyz))
         for side in (0, 1):
             np.maximum.at(best, pair[untried, side], score)
         chosen = untried[(score[:, None] == best[pair[untried]]).all(axis=1)]
@@ -127,13 +128,11 @@ def merged_tracks(
 
 
 def _joined(
-    pair_K2: Indices, match_K2: Indices, weight_K: Array, is_tried_K: NDArray[np.bool_]
-) -> tuple[Indices, Indices, Array, NDArray[np.bool_]]:
-    """The same with each pair of two tracks once, with the sum of its weights."""
+    pair_K2: Indices, match_K2: Indices, is_tried_K: NDArray[np.bool_]
+) -> tuple[Indices, Indices, NDArray[np.bool_]]:
+    """The same with each pair of two tracks once."""
     pair_K2 = np.sort(pair_K2, axis=1)
     is_pair = pair_K2[:, 0] != pair_K2[:, 1]
     key = pair_K2[is_pair] @ np.array([int(pair_K2.max(initial=0)) + 1, 1])
-    _, first, number = np.unique(key, return_index=True, return_inverse=True)
-    first_K = np.flatnonzero(is_pair)[first]
-    weight = np.bincount(number, weight_K[is_pair]).astype(float)
-    return pair_K2[first_K], match_K2[first_K], weight, is_tried_K[first_K]
+    first_K = np.flatnonzero(is_pair)[np.unique(key, return_index=True)[1]]
+    return pair_K2[first_K], match_K2[first_K], is_tried_K[first_K]
