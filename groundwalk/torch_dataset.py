@@ -70,7 +70,7 @@ class TorchDataset(Dataset[Item]):
         distortion[: len(camera.distortion)] = torch.tensor(camera.distortion)
         item = Item(
             image=torch.from_numpy(self.image(self.frame_ids[index])).permute(2, 0, 1).contiguous(),
-            map_T_cam=self.map_T_cam[index],
+            map_T_cam=self.map_T_cam[index].clone(),
             K=torch.tensor(camera.matrix, dtype=torch.float32),
             distortion=distortion,
             frame_id=self.frame_ids[index],

@@ -17,6 +17,7 @@ import groundwalk
 from groundwalk import UserError
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.schemas import schema
+from groundwalk.torch_dataset import Item
 from tests.groundwalk.made_up_run import FRAMES, LOST, MadeUpRun
 from tests.known import put, table_of, written
 
@@ -141,6 +142,14 @@ def test_a_torch_dataset_has_the_frames_of_a_split_with_ground_truth(make_run: M
     assert batch["image"].shape == (3, 3, 24, 32) and batch["frame_id"] == items.frame_ids
     halved = run.torch_dataset("test", lambda item: {**item, "image": item["image"][:, ::2, ::2]})
     assert halved[0]["image"].shape == (3, 12, 16)
+
+    def scaled(item: Item) -> Item:
+        item["map_T_cam"][:3, 3] /= 10
+        return item
+
+    in_place = run.torch_dataset("train", scaled)
+    first, second = (in_place[1]["map_T_cam"].clone() for _ in range(2))
+    assert torch.equal(first, second) and not torch.equal(first, items[1]["map_T_cam"])
     with pytest.raises(UserError, match="no split 'training'"):
         run.torch_dataset("training")
 
