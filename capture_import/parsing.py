@@ -398,7 +398,8 @@ def _refuse_odd_file(path: Path, max_bytes: int) -> None:
 
 
 def is_image(path: Path) -> bool:
-    return path.suffix.lower() in SUFFIXES
+    """Whether a name is an image's; hidden files aren't, as `._IMG_1.jpg`, in which macOS keeps attributes."""
+    return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
 
 
 def images_in(folder: Path) -> list[Path]:

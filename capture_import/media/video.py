@@ -50,7 +50,7 @@ def frame_times(path: Path, limits: Limits) -> NDArray[np.int64]:
 
 
 def is_video(path: Path) -> bool:
-    return path.suffix.lower() in _SUFFIXES and path.is_file()
+    return path.suffix.lower() in _SUFFIXES and not path.name.startswith(".") and path.is_file()
 
 
 def first_frame(path: Path, limits: Limits) -> tuple[av.VideoFrame, int, bool]:

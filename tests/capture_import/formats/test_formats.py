@@ -13,6 +13,7 @@ import pytest
 from groundwalk.capture_import.capture import GpsFix, ImageFile, Limits, poses_of
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats import FORMATS
+from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.capture_import.parsing import fisheye_intrinsics
 from groundwalk.capture_import.sessions import sound_sessions
