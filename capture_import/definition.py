@@ -7,7 +7,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="import",
-    version=31,
+    version=32,
     settings=ImportSettings,
     needs=(),
     run=Lazy("groundwalk.capture_import.stage:run"),

@@ -7,7 +7,9 @@ EXIF is documented in CIPA DC-008. What matters:
   large sensor state `FocalLength` and the sensor's pixels a unit (`FocalPlaneXResolution`). Both are of the whole
   picture: a cropped one says nothing, a smaller one still holds;
 - dates are of a clock that anybody may set, in whole seconds mostly: an order, not times;
-- cameras are told apart by maker, model, lens, focal length and size; their names don't leave import;
+- `DigitalZoomRatio` makes a camera of its own, whose focal length isn't known: of some makers the stated one has the
+  zoom in it, of others it hasn't;
+- cameras are told apart by maker, model, lens, focal length, zoom and size; their names don't leave import;
 - the GPS directory has latitude and longitude as degrees, minutes and seconds, altitude, and in `GPSHPositioningError`
   the accuracy in metres. It is read only where import is asked for GPS.
 """
@@ -115,14 +117,15 @@ def _photo(file: Path) -> _Photo:
     maker = [_text(exif.get(tag)) for tag in (base.Make, base.Model)]
     focal_mm = [_number(details.get(tag)) for tag in (base.FocalLengthIn35mmFilm, base.FocalLength)]
     size = f"{max(width, height)}x{min(width, height)}"
-    lens = (_text(details.get(base.LensModel)), f"{focal_mm[0] or focal_mm[1]:g}", size)
+    zoom = round(max(1.0, _number(details.get(base.DigitalZoomRatio))), 1)
+    lens = (_text(details.get(base.LensModel)), f"{focal_mm[0] or focal_mm[1]:g}", f"{zoom:g}", size)
     date = _text(details.get(base.DateTimeOriginal))
     return _Photo(
         file=file,
         width=width,
         height=height,
         orientation=int(_number(exif.get(base.Orientation)) or 1),
-        focal_px=_focal_px(details, width, height),
+        focal_px=_focal_px(details, width, height) if zoom == 1 else None,
         camera="|".join([" ".join(maker), *lens]),
         has_maker=any(maker),
         date=f"{date}.{_text(details.get(base.SubsecTimeOriginal))}" if date else "",
@@ -217,12 +220,12 @@ def _notes(path: Path, folder: Path, frames: Sequence[RawFrame], dated: bool) ->
     cameras = Counter(frame.camera_name for frame in frames)
     stated = sum(frame.intrinsics is not None and frame.intrinsics.focal_sd < GUESS_SD for frame in frames)
     notes = [
-        f"{len(frames)} photos without poses, by {len(cameras)} camera{'s' * (len(cameras) != 1)} (maker, lens, size), "
-        f"in the order of {'their dates' if dated else 'their names'}; focal length by EXIF of {stated}, unknown of "
-        f"{len(frames) - stated}"
+        f"{len(frames)} photos without poses, by {len(cameras)} camera{'s' * (len(cameras) != 1)} (maker, lens, zoom, "
+        f"size), in the order of {'their dates' if dated else 'their names'}; focal length by EXIF of {stated}, "
+        f"unknown of {len(frames) - stated}"
     ]
     others = [f"{len(images_in(p))} images of {p.name}/" for p in path.glob("*/") if p != folder and images_in(p)]
-    if videos := [p.name for p in folder.iterdir() if is_video(p)]:
+    if videos := [p.name for p in path.rglob("*") if is_video(p)]:
         others.append(f"{len(videos)} videos (--format video reads them alone)")
     if kinds := in_order(p for p in folder.iterdir() if p.suffix.lower() in _OTHERS):
         others.append(f"{len(kinds)} pictures that are no JPEG, PNG or HEIC, such as {printable(kinds[0].name)}")

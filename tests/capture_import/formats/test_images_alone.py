@@ -84,24 +84,27 @@ def test_cameras_are_grouped_and_their_names_stay(tmp_path: Path, place: Path) -
     for n in range(4):
         write_photo(place / f"a{n}.jpg", n, FocalLengthIn35mmFilm=26, **secret)
         write_photo(place / f"b{n}.jpg", 10 + n, turns=1, Orientation=6, FocalLengthIn35mmFilm=26, **secret)
-        write_photo(place / f"c{n}.jpg", 20 + n, FocalLengthIn35mmFilm=13, **secret)
+        write_photo(place / f"c{n}.jpg", 20 + n, FocalLengthIn35mmFilm=13, DigitalZoomRatio=0.0, **secret)
         # 5 mm on a sensor of 500 pixels a centimetre, of which the photo is a copy of half the size.
         plane: dict[str, Any] = {"FocalPlaneXResolution": 500.0, "FocalPlaneResolutionUnit": 3, "ExifImageWidth": 640}
         write_photo(place / f"d{n}.jpg", 30 + n, Model="Other", FocalLength=10.0, ExifImageHeight=480, **plane)
+        # Zoomed by pixels alone, of which some makers' focal lengths know nothing.
+        write_photo(place / f"f{n}.jpg", 50 + n, FocalLengthIn35mmFilm=26, DigitalZoomRatio=3.0, **secret)
         # Cropped to another shape: EXIF says nothing of it.
         write_photo(
             place / f"e{n}.jpg", 40 + n, Model="Crop", FocalLengthIn35mmFilm=26, ExifImageWidth=400, ExifImageHeight=240
         )
     tables = imported(tmp_path)
     sessions, frames = tables["sessions"], tables["frames"]
-    assert list(sessions["session_id"]) == ["place", *(f"place.camera{k}" for k in (2, 3, 4))]
-    assert list(sessions["frames"]) == [8, 4, 4, 4]
-    assert list(sessions["device"]) == [f"camera {k}" for k in (1, 2, 3, 4)]
+    assert list(sessions["session_id"]) == ["place", *(f"place.camera{k}" for k in (2, 3, 4, 5))]
+    assert list(sessions["frames"]) == [8, 4, 4, 4, 4]
+    assert list(sessions["device"]) == [f"camera {k}" for k in (1, 2, 3, 4, 5)]
     assert set(sessions["pose_source"]) == {"none"} and sessions["reference_unit"].isna().all()
     assert len(tables["reference"]) == len(tables["vio"]) == 0 and frames["vio_cam_tx"].isna().all()
     diagonal = np.hypot(WIDTH, HEIGHT) / np.hypot(36, 24)
-    for session, focal_px, sd in zip(
-        sessions["session_id"], (26 * diagonal, 13 * diagonal, 250.0, 1.2 * WIDTH), (0.05, 0.05, 0.05, 0.5), strict=True
+    guess = (1.2 * WIDTH, 0.5)
+    for session, (focal_px, sd) in zip(
+        sessions["session_id"], [(26 * diagonal, 0.05), (13 * diagonal, 0.05), (250.0, 0.05), guess, guess], strict=True
     ):
         rows = frames[frames["session_id"] == session]
         assert rows["fx"].to_numpy() == pytest.approx(focal_px) and set(rows["focal_sd"]) == {sd}
@@ -134,11 +137,15 @@ def test_what_is_no_photo_is_named(tmp_path: Path) -> None:
     write_photo(tmp_path / "place" / "IMG-WA1.jpg", 11, size=(320, 180))  # as messengers send photos
     write_photo(tmp_path / "place" / "short_pano.jpg", 9, size=(480, 240), Model="P", CustomRendered=6)
     write_photo(tmp_path / "place" / "PANO.jpg", 10, Model="P", xmp=b'<a GPano:ProjectionType="cylindrical"/>')
+    for name in ("._IMG_1.jpg", "._IMG_1.MOV"):  # macOS's attributes
+        (tmp_path / "place" / name).write_bytes(b"\0\5\x16\7")
     (tmp_path / "place" / "b.webp").touch()
     (tmp_path / "place" / "a.dng").touch()
     (tmp_path / "place" / "IMG_9.HEIC").write_bytes(b"\0\0\0\x18ftypheic" + bytes(100))
     (tmp_path / "place" / "empty.jpg").touch()
-    (tmp_path / "place" / "IMG_1.MOV").touch()
+    for name in ("IMG_1.MOV", "clips/IMG_2.MOV"):
+        (tmp_path / "place" / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "place" / name).touch()
     (tmp_path / "place" / "CameraTrajectory.txt").write_text("0.1,1,2,3,0,0,0,1\n")
     raw = read_one(tmp_path / "place")
     assert {frame.source for frame in raw.frames} == {"IMG-WA1.jpg", *(f"IMG_{n}.jpg" for n in range(4))}
@@ -154,7 +161,7 @@ def test_what_is_no_photo_is_named(tmp_path: Path) -> None:
         "empty.jpg": "image is empty",
     }.items():
         assert part in reasons.pop(name)
-    assert not reasons and any("1 videos" in note and "2 pictures that" in note for note in raw.notes)
+    assert not reasons and any("2 videos" in note and "2 pictures that" in note for note in raw.notes)
     assert "1 logs, such as CameraTrajectory.txt" in raw.notes[-1]
 
 
