@@ -2,7 +2,7 @@
 
 https://spectacularai.github.io/docs/sdk, and files of its examples. Poses take the device's axes to a world whose +z is
 up; `imuToCamera` of `calibration.json` takes them to OpenCV camera axes. Without it poses are the device's, and images
-aren't used. Rows of `data.jsonl` with `frames` are the video's, in order.
+aren't used. Rows of `data.jsonl` with `frames` are the video's, in order, which is `data.mov` on iOS.
 """
 
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import Limits, RawFrame, Recording, VideoFrame
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.media.video import check_join
+from groundwalk.capture_import.media.video import check_join, is_video
 from groundwalk.geometry.poses import Array, inverse, rigidity_error
 from groundwalk.store.choices import Clock, Tracking
 
@@ -40,12 +40,13 @@ def read(path: Path, limits: Limits) -> Recording:
     poses, rejects = parsing.read_rows(parsing.lines_of(path / "output.jsonl", limits), read_pose)
     notes: list[str] = []
     images: list[RawFrame] = []
+    video = next(filter(is_video, parsing.in_order(path.glob("data.*"))), None)
     if device_T_cam is None:
         notes.append("no calibration.json: poses are the device's, and images aren't used")
-    elif (path / "data.mp4").is_file() and (path / "data.jsonl").is_file():
+    elif video is not None and (path / "data.jsonl").is_file():
         lines = parsing.lines_of(path / "data.jsonl", limits, lambda line: '"frames"' in line)
-        images, more = parsing.read_rows(lines, lambda i, line: _read_image(path / "data.mp4", i, line))
-        notes += check_join(path / "data.mp4", "data.jsonl", images, len(lines), limits)
+        images, more = parsing.read_rows(lines, lambda i, line: _read_image(video, i, line))
+        notes += check_join(video, "data.jsonl", images, len(lines), limits)
         rejects += more
     return Recording("Spectacular AI", Clock.BOOT, path, parsing.join_by_time(poses, images), rejects, notes=notes)
 
@@ -77,6 +78,6 @@ FORMAT = Format(
     label="Spectacular AI",
     meaning="video, VIO",
     files=("output.jsonl",),
-    looks_for="output.jsonl, with data.jsonl, data.mp4 and calibration.json for images",
+    looks_for="output.jsonl, with data.jsonl, data.mp4 or data.mov, and calibration.json for images",
     read=read,
 )

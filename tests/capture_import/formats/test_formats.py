@@ -252,6 +252,14 @@ def test_what_seems_to_be_a_recording_and_is_not_read_is_named(tmp_path: Path) -
     )
 
 
+def test_the_video_of_spectacular_ai_is_a_mov_on_ios(tmp_path: Path) -> None:
+    walk = make_walk(8)
+    WRITERS["spectacular_ai"].write(tmp_path / "walk", walk)
+    (tmp_path / "walk" / "data.mp4").rename(tmp_path / "walk" / "data.mov")
+    (session,) = sessions_in(tmp_path / "walk")
+    assert [image.t_ns for image in session.images] == pytest.approx(walk.t_ns[walk.has_image], abs=1000)
+
+
 def test_a_second_export_of_rtabmap_in_a_folder_is_named(tmp_path: Path) -> None:
     WRITERS["rtabmap"].write(tmp_path / "walk", make_walk(6))
     shutil.copy(tmp_path / "walk" / "scan_camera_poses.txt", tmp_path / "walk" / "zoom_camera_poses.txt")
