@@ -19,7 +19,7 @@ _MAX_FOLDERS = 200
 _IMAGES_ALONE = 'format = "photos" (or "video")'
 # What keys of an unknown log are about, by what apps and tools call them.
 _KEYS = {
-    "poses": r"transform|pose|matrix|rotation|quat|position|translation",
+    "poses": r"transform|pose|matrix|rotation|quat|position|translation|^tx$",
     "intrinsics": r"intrinsic|focal|\bf[xy]\b|fl_x|^K$",
     "times": r"time|stamp",
 }
@@ -69,9 +69,8 @@ def are_images_alone(root: Path, unpacked: Path, formats: Sequence[Format]) -> b
     no log that seems to hold poses."""
     if _around(root, formats):
         return False
-    folders = [path for top in (root, unpacked) for path in (top, *top.rglob("*")) if path.is_dir()]
-    partly = any(_nearest(folder, formats) for folder in (root, unpacked) if folder.is_dir())
-    return not partly and not any(any(_unknown_logs(folder)) for folder in folders)
+    folders = [folder for folder in (root, unpacked) if folder.is_dir()]
+    return not any(_nearest(folder, formats) or any(_unknown_logs(folder)) for folder in folders)
 
 
 def _around(root: Path, formats: Iterable[Format]) -> list[Path]:
@@ -106,20 +105,23 @@ def _nearest(root: Path, formats: Iterable[Format]) -> list[str]:
     return [text for _, text in sorted(partly, key=lambda item: item[0])[:_MAX_NEAREST]]
 
 
-def _unknown_logs(folder: Path) -> Iterable[str]:
-    """What the keys of a folder's logs seem to be about."""
-    for log in (p for p in in_order(folder.iterdir()) if p.suffix.lower() in _LOGS):
+def _unknown_logs(root: Path) -> Iterable[str]:
+    """What the keys of logs in a folder and below seem to be about."""
+    for log in in_order(p for p in root.rglob("*") if p.suffix.lower() in _LOGS):
+        name = log.relative_to(root).as_posix()
         if listed := _list_of_poses(log):
-            yield f"{log.name} seems to be {listed}; {_READ_BESIDE}"
+            yield f"{name} seems to be {listed}; {_READ_BESIDE}"
             continue
         text = first_bytes(log).decode("utf-8", "ignore")
-        keys = re.findall(r'"([A-Za-z_]\w{0,40})"\s*:', text) or re.findall(r"[A-Za-z_]\w*", text.partition("\n")[0])
+        # Of a table its first line, with the comments above.
+        head = re.match(r"(?:#.*\n)*.*", text)
+        keys = re.findall(r'"([A-Za-z_]\w{0,40})"\s*:', text) or re.findall(r"[A-Za-z_]\w*", head[0] if head else "")
         about = []
         for meaning, pattern in _KEYS.items():
             if key := next((key for key in keys if re.search(pattern, key, re.IGNORECASE)), None):
                 about.append(f"{meaning} ({key})")
         if about and about[0].startswith("poses"):
-            yield f"{log.name} seems to hold {in_words(about)}"
+            yield f"{name} seems to hold {in_words(about)}"
 
 
 def _list_of_poses(log: Path) -> str | None:

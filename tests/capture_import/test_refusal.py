@@ -137,3 +137,13 @@ def test_too_few_photos_and_a_list_of_poses_of_another_name_are_told(
     told = refused(tmp_path / "capture")
     assert said in told
     assert not listed or ("read as poses.txt beside" in told and 'format = "photos"' in told)
+
+
+def test_a_log_below_whose_columns_are_named_in_comments_is_told(tmp_path: Path) -> None:
+    """kapture's, of which only the images were read."""
+    sensors = tmp_path / "capture" / "sensors"
+    sensors.mkdir(parents=True)
+    write_photos(sensors / "records_data", 3)
+    columns = "# kapture format: 1.1\n# timestamp, device_id, qw, qx, qy, qz, tx, ty, tz\n"
+    (sensors / "trajectories.txt").write_text(columns + "0, cam, 1, 0, 0, 0, 0, 0, 0\n")
+    assert "sensors/trajectories.txt seems to hold poses (tx) and times (timestamp)" in refused(tmp_path / "capture")
