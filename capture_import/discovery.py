@@ -4,6 +4,7 @@ import hashlib
 import os
 import re
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from groundwalk.store.text import name_list, natural_order
 
 _MAX_DEPTH = 5
 _MAX_ID_BYTES = 120
+_OTHER_ARCHIVES = (".7z", ".bz2", ".gz", ".rar", ".tar", ".tgz", ".xz", ".zst")
 # The simulator's truth is for checks alone; import never opens it.
 _IGNORED = {"true_poses.parquet", "true_cameras.parquet", "SIMULATED.json", "LICENSE", "README.md", "__MACOSX"}
 # Depth beside images of the same folder: 3D Scanner App's, NeRFCapture's and 7-Scenes'.
@@ -91,11 +93,17 @@ def _images_without_a_row(raw: Recording) -> list[Reject]:
     return rejects
 
 
-def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str = "auto") -> list[RecordingSource]:
+def find_recordings(
+    root: Path,
+    unpacked: Path,
+    limits: Limits,
+    format_name: str = "auto",
+    say: Callable[[str], None] = lambda line: None,
+) -> list[RecordingSource]:
     """The recordings in `root`, in natural order of their ids: `root` itself, or folders, files and archives below it.
 
-    The first recording's notes name what isn't read: where a format is named, recordings of others, and what seems to
-    be a recording but fits no format. Archives are unpacked into the folder `unpacked`, but not archives inside
+    `say` gets lines that name what isn't read: where a format is named, recordings of others, and what seems to be a
+    recording but fits no format. Archives are unpacked into the folder `unpacked`, but not archives inside
     archives. A recording's id is its folder's (or file's) name; where two have the same, the path from `root` with
     dashes. UserError where there is none, where one fits two formats, where a link leads out of `root`, or where a name
     isn't UTF-8.
@@ -120,11 +128,9 @@ def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str
     unique = [n if counts[n] == 1 else _plain("-".join(hit.parts)) for hit, n in zip(hits, names, strict=True)]
     sources = [replace(hit, recording_id=name) for hit, name in zip(hits, unique, strict=True)]
     if others := search.others():
-        note = f"not read, as {setting_of('import', 'format')} (--format of `inspect`) is {format_name}: {others}"
-        sources[0] = replace(sources[0], notes=(*sources[0].notes, note))
+        say(f"not read, as {setting_of('import', 'format')} (--format of `inspect`) is {format_name}: {others}")
     if search.skipped:
-        note = f"not read: {name_list(search.skipped, 8)}"
-        sources[0] = replace(sources[0], notes=(*sources[0].notes, note))
+        say(f"not read: {name_list(search.skipped, 8)}")
     return sorted(sources, key=lambda f: natural_order(f.recording_id))
 
 
@@ -171,6 +177,12 @@ class _Search:
             _refuse_odd_name(self.root, path)
             _refuse_links_below(self.root, path)
             notes = [f"read as {first[0].label}; it is {f.label}, too" for f in candidates if f not in first]
+            # Photos name the folders of images beside them.
+            for inner in () if first[0].is_images_alone else _visible(path):
+                is_archive = inner.suffix.lower() in SUFFIXES
+                if is_archive or (inner.is_dir() and any(self._fits(f, inner) for f in self.formats)):
+                    why = "inside another recording: move it out if it's one of its own"
+                    self.skipped.append(f"{'/'.join((*parts, inner.name))} ({why})")
             return [RecordingSource(path, first[0], parts, tuple(notes))]
         if path.is_file() and path.suffix.lower() in SUFFIXES and not self.in_archive:
             _refuse_odd_name(self.root, path)
@@ -186,8 +198,8 @@ class _Search:
             return replace(self, root=target, in_archive=True).run(target, parts, depth + 1)
         before, before_skipped, hits = len(self.unread), len(self.skipped), []
         if path.is_dir() and depth < _MAX_DEPTH:
-            inside = in_order(p for p in path.iterdir() if not p.name.startswith(".") and p.name not in _IGNORED)
-            hits = [hit for p in inside for hit in self.run(p, (*parts, p.stem if p.is_file() else p.name), depth + 1)]
+            inside = [(p, (*parts, p.stem if p.is_file() else p.name)) for p in _visible(path)]
+            hits = [hit for p, way in inside for hit in self.run(p, way, depth + 1)]
         if fits and not hits:
             del self.unread[before:], self.skipped[before_skipped:]
             self.unread.append(RecordingSource(path, fits[0], parts))
@@ -209,10 +221,18 @@ class _Search:
             return False
 
 
+def _visible(folder: Path) -> list[Path]:
+    """What in a folder may be a recording, or hold one; nothing in a file."""
+    inside = folder.iterdir() if folder.is_dir() else ()
+    return in_order(p for p in inside if not p.name.startswith(".") and p.name not in _IGNORED)
+
+
 def _why_skipped(path: Path, depth: int) -> str:
     """Why no recording was found in a file or folder that seems to hold one; empty for any other."""
     if path.is_file() and path.suffix.lower() in SUFFIXES:
         return "an archive in an archive: unpack it"
+    if path.is_file() and path.suffix.lower() in _OTHER_ARCHIVES:
+        return "an archive, but no zip: unpack it"
     inside = [p for p in path.iterdir() if not p.name.startswith(".")] if path.is_dir() else []
     if depth >= _MAX_DEPTH and any(p.is_dir() or p.suffix.lower() in SUFFIXES for p in inside):
         return f"recordings are looked for {_MAX_DEPTH} folders deep"

@@ -47,7 +47,9 @@ def inspect_capture(
     sessions, errors = list[Session](), list[UserError]()
     with tempfile.TemporaryDirectory() as unpacked:
         reader = ImageReader([root if root.is_dir() else root.parent, Path(unpacked).resolve()], settings.limits)
-        sources = find_recordings(path, Path(unpacked), settings.limits, format_name)
+        unread = list[str]()
+        sources = find_recordings(path, Path(unpacked), settings.limits, format_name, unread.append)
+        yield from unread
         for source in sources:
             try:
                 of_recording, is_usable, is_aligned = yield from _inspect(source, reader, settings)

@@ -55,7 +55,7 @@ def run(r: StageRun[ImportSettings]) -> None:
     reader = ImageReader([root, unpacked.resolve()], settings.limits)
     with r.step("images"):
         unpacked.mkdir(exist_ok=True)
-        sources = find_recordings(root, unpacked, settings.limits, settings.format)
+        sources = find_recordings(root, unpacked, settings.limits, settings.format, r.say)
         refuse_lists(r.scene.split, [source.recording_id for source in sources])
         r.simulated |= are_simulated(path for path in unpacked.rglob("*") if path.is_file())
     of_recording, errors = _read_recordings(r, sources, reader)

@@ -473,9 +473,9 @@ def find_one(root: Path) -> RecordingSource:
     return found
 
 
-def read_one(root: Path, format_name: str = "auto") -> Recording:
-    """The only recording in a folder, as it is read."""
-    (found,) = find_recordings(root, root.parent / "unpacked", Limits(), format_name)
+def read_one(root: Path, format_name: str = "auto", say: Callable[[str], None] = lambda line: None) -> Recording:
+    """The only recording in a folder, as it is read; `say` gets what is said of the others."""
+    (found,) = find_recordings(root, root.parent / "unpacked", Limits(), format_name, say)
     return found.read(Limits())
 
 

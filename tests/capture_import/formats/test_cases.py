@@ -108,8 +108,9 @@ def test_the_larger_of_two_models_is_read(make: Make, truth: np.ndarray) -> None
 def test_a_chosen_format_names_what_it_leaves_out(make: Make) -> None:
     model = make("colmap_input_folder")
     make("polycam_without_size")
-    raw = read_one(model.parent, "colmap")
-    (note,) = raw.notes
+    said = list[str]()
+    read_one(model.parent, "colmap", said.append)
+    (note,) = said
     assert "polycam_without_size (Polycam raw)" in note and "colmap" in note
     with pytest.raises(UserError, match=r"(?s)no capture in the format record3d.*colmap_input_folder \(COLMAP model\)"):
         find_recordings(model.parent, model.parent / "unpacked", Limits(), "record3d")

@@ -46,6 +46,9 @@ def test_a_written_walk_reads_back_the_same(tmp_path: Path, name: str) -> None:
         write_record3d(tmp_path / "place" / "walk", walk, archive=True)
     else:
         writer.write(tmp_path / "place" / "walk", walk)
+        for file in [path for path in (tmp_path / "place" / "walk").rglob("*") if path.is_file()]:
+            # As macOS writes beside each file on a disk that keeps no attributes.
+            file.with_name(f"._{file.name}").write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X        ")
     found = find_one(tmp_path / "place")
     assert found.format.id == name and (not archive or found.recording_id == "walk")
     (session,) = sessions_in(tmp_path / "place")
@@ -233,8 +236,10 @@ def test_a_fisheye_lens_of_rtabmap_is_read_as_one(tmp_path: Path, stated: list[f
     assert read_one(tmp_path / "walk").frames[0].intrinsics == expected
 
 
-def test_what_seems_to_be_a_recording_and_is_not_read_is_named(tmp_path: Path) -> None:
-    place, walk = tmp_path / "place", make_walk(6)
+def test_what_seems_to_be_a_recording_and_is_not_read_is_named(
+    tmp_path: Path, place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    walk = make_walk(6)
     for name in ("walk1", "no_log", "a/b/c/d/e/walk5"):
         WRITERS["frames_jsonl"].write(place / name, walk)
     (place / "no_log" / "frames.jsonl").unlink()
@@ -245,11 +250,22 @@ def test_what_seems_to_be_a_recording_and_is_not_read_is_named(tmp_path: Path) -
         archive.write(tmp_path / "walk4.r3d", "walk4.r3d")
     (place / "notes").mkdir()
     (place / "notes" / "todo.txt").write_text("none of it")
-    (note,) = read_one(place).notes
-    assert note == (
+    (place / "freiburg1_xyz.tgz").touch()
+    write_stray_scanner(place / "walk1" / "walk2", walk)
+    said = list[str]()
+    read_one(place, say=said.append)
+    assert said == [
         "not read: a/b/c/d/e (recordings are looked for 5 folders deep), download/walk4 (an archive in an archive: "
-        "unpack it), no_log/images (no known format), no_odometry (no known format)"
-    )
+        "unpack it), freiburg1_xyz (an archive, but no zip: unpack it), no_log/images (no known format), no_odometry "
+        "(no known format), walk1/walk2 (inside another recording: move it out if it's one of its own)"
+    ]
+    # Also where the first recording can't be used, which stands for none of the others.
+    WRITERS["frames_jsonl"].write(place / "walk0", walk)
+    (place / "walk0" / "frames.jsonl").write_text("{}")
+    lines = list(inspect_capture(place))
+    assert lines[0] == said[0] and lines[1].startswith("walk0")
+    imported(tmp_path)
+    assert said[0] in capsys.readouterr().err
 
 
 def test_the_video_of_spectacular_ai_is_a_mov_on_ios(tmp_path: Path) -> None:
