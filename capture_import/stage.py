@@ -303,6 +303,14 @@ def _report(
             f"warning: {len(same)} of {len(test)} test images are also training images, byte for byte but for "
             f"metadata (the first: {first.frame_id} is {twin}): accuracy on this split means nothing"
         )
+    first_of = frames.drop_duplicates("content_sha256").set_index("content_sha256")["recording"]
+    for recording, of_one in frames.groupby("recording", sort=False):
+        originals = of_one["content_sha256"].map(first_of)
+        if (copied := originals != recording).mean() > _SAME_FRAMES:
+            r.say(
+                f"warning: {recording} is {originals[copied].iloc[0]} again: {copied.sum()} of its {len(of_one)} "
+                "frames have the same image, and count twice; take one away, as an archive beside its own folder"
+            )
     images = sum(len(session.images) for session in sessions)
     figures: dict[str, float | int | str | None] = {
         "recordings": session_rows["recording"].nunique(),

@@ -53,6 +53,7 @@ def test_images_in_train_and_test_that_differ_in_metadata_alone_are_named(
     assert figures["test_images_also_in_train"] == count > 0
     said = " ".join(capsys.readouterr().err.split())
     assert f"warning: {count} of {count} test images are also training images" in said
+    assert "warning: train is test again: 2 of its 2 frames have the same image" in said
 
 
 def test_a_zipped_export_of_a_simulated_scene_is_simulated(tmp_path: Path, place: Path) -> None:
