@@ -122,13 +122,13 @@ def export(
                 if not isinstance(placed, list) or len(placed) != len(dataset.frames):
                     returned = f"{len(placed)} paths" if isinstance(placed, list) else f"a {type(placed).__name__}"
                     raise ValueError(f"write returned {returned}, expected a list of {len(dataset.frames)} image paths")
-            _write_lists(dataset, placed, folder, about, images.value)
+            count = _write_lists(dataset, placed, folder, about, images.value)
             refuse_changed()
             if reads_images:
                 verify_images(root.captures(scene), root.run(profile, scene, "import"))
-    excluded, elsewhere = len(dataset.excluded), placed.count("") if reads_images else 0
+    excluded, elsewhere = len(dataset.excluded), len(dataset.frames) - count
     progress.console.print(
-        f"{scene} as {name}: {len(dataset.frames) - elsewhere} frames"
+        f"{scene} as {name}: {count} frames"
         f"{f', {excluded} without ground truth excluded (see {_FRAMES})' if excluded else ''}"
         f"{f', {elsewhere} of further SfM models left out' if elsewhere else ''} → {out}",
         markup=False,
@@ -192,8 +192,9 @@ def _export_folder(out: Path, note: str, *, force: bool) -> Iterator[Path]:
         raise UserError("the export can't be written", where=where, found=error.strerror) from None
 
 
-def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[str, str], images: Images) -> None:
-    """Write what the export is, and the list of all frames: exported ones with their images and these' cameras."""
+def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[str, str], images: Images) -> int:
+    """Write what the export is, and the list of all frames: exported ones with their images and these' cameras; returns
+    how many are exported."""
     columns = ["frame_id", "session_id", "split", "t_ns", "clock", "quality", "reason"]
     frames = dataset.frames
     exported = frames[columns].assign(image=placed, **{n: frames[n] for n in ("width", "height", *CAMERA_COLUMNS[:4])})
@@ -205,8 +206,8 @@ def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[
         enu, sd, geodetic = dataset.georeference.places(dataset.map_T_cam[:, :3, 3])
         places = pd.DataFrame(np.hstack([geodetic, enu, sd]), columns=_PLACE)
         pd.concat([exported[["frame_id", "image"]], places], axis=1).to_csv(folder / _PLACES, index=False)
-    # Of further SfM models, which a format may have no place for.
-    written = frames if images == "none" else frames[np.array(placed) != ""]
+    # Those of further SfM models, which a format may have no place for, have no path. Without images none needs one.
+    written = frames[np.array(placed) != ""] if any(placed) else frames
     content = {
         **about,
         "simulated": dataset.simulated,
@@ -224,3 +225,4 @@ def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[
         "files": file_names(folder),
     }
     write_json(folder / _NOTE, content)
+    return len(written)
