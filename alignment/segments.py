@@ -9,11 +9,8 @@ import pandas as pd
 from groundwalk.consistency.trajectories import TrajectoryPair
 from groundwalk.consistency.windows import WindowResiduals
 from groundwalk.geometry.poses import Array, path_length
-from groundwalk.store.choices import Tracking
+from groundwalk.store.choices import UNTRACKED
 from groundwalk.store.tables import poses_of
-
-# A phone that calls its tracking so may stand still in VIO while it moves.
-_UNTRACKED = (Tracking.LIMITED, Tracking.LOST)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +107,7 @@ def cut_segments(
     sfm_T_cam = poses_of(images, "sfm_cam")
     sfm_T_cam[~images["registered"].to_numpy(bool)] = np.nan
     vio_T_cam = poses_of(frames, "vio_cam")
-    vio_T_cam[frames["tracking"].isin(_UNTRACKED).to_numpy()] = np.nan
+    vio_T_cam[frames["tracking"].isin(UNTRACKED).to_numpy()] = np.nan
     up_cam = -frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
     t_ns, session = frames["t_ns"].to_numpy(np.int64), frames["session_id"].to_numpy(str)
     segments, travelled_m = [], np.zeros(len(frames))

@@ -211,8 +211,8 @@ class Image(RawFrame):
 
 @dataclass(frozen=True)
 class Jump:
-    """A step of the odometry from pose `index - 1` to `index` that its surroundings don't explain; `splits`: so large
-    that the session ends there."""
+    """A step of the odometry to pose `index`, from the one before or, over untracked ones, the last tracked one, that
+    its surroundings don't explain; `splits`: so large that the session ends there."""
 
     index: int
     t_ns: int

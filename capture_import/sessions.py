@@ -25,7 +25,7 @@ from groundwalk.capture_import.capture import (
 )
 from groundwalk.capture_import.checks.rows import check_rows
 from groundwalk.geometry.poses import Array, make_pose, relative, rotation_angle
-from groundwalk.store.choices import PoseSource, SessionSplit
+from groundwalk.store.choices import UNTRACKED, PoseSource, SessionSplit
 from groundwalk.store.images import exif_orientation
 from groundwalk.store.text import name_list
 
@@ -68,7 +68,7 @@ def sound_sessions(
     if recording.pose_source == PoseSource.NONE:
         return _by_camera(recording, frames, rejects)
     t_ns = np.array([f.t_ns for f in frames], dtype=np.int64)
-    jumps = find_jumps(t_ns, poses_of(frames)) if recording.pose_source == PoseSource.VIO else []
+    jumps = _jumps_of(recording, frames) if recording.pose_source == PoseSource.VIO else []
     starts = [0, *(jump.index for jump in jumps if jump.splits)]
     # A reject is of the session that it lies in by its time; of the first where it has none.
     lies_in = [0 if r.t_ns is None else bisect_right(t_ns[starts[1:]].tolist(), r.t_ns) for r in rejects]
@@ -83,6 +83,15 @@ def sound_sessions(
         )
         for place, (start, stop) in enumerate(pairwise([*starts, len(frames)]))
     ]
+
+
+def _jumps_of(recording: Recording, frames: list[RawFrame]) -> list[Jump]:
+    """The jumps between a recording's sound rows, in order of time."""
+    t_ns, poses = np.array([f.t_ns for f in frames], dtype=np.int64), poses_of(frames)
+    # Rows of lost tracking aren't sound; images have the tracking of the poses around them.
+    untracked_ns = np.array([f.t_ns for f in (*recording.frames, *frames) if f.tracking in UNTRACKED], dtype=np.int64)
+    found = [*steps_over_untracked(t_ns, poses, np.unique(untracked_ns)), *find_jumps(t_ns, poses)]
+    return sorted({jump.index: jump for jump in found}.values(), key=lambda jump: jump.index)
 
 
 def _by_camera(recording: Recording, frames: list[RawFrame], rejects: list[Reject]) -> list[Session]:
@@ -249,13 +258,7 @@ def find_jumps(t_ns: NDArray[np.int64], poses: Array) -> list[Jump]:
     """
     if len(poses) < 4:
         return []
-    dt: Array = np.diff(t_ns).astype(float) * 1e-9
-    velocity = np.diff(poses[:, :3, 3], axis=0) / dt[:, None]
-    # Rotation in the world's axes, so that neighbouring steps can be averaged.
-    steps = poses[1:, :3, :3] @ np.swapaxes(poses[:-1, :3, :3], -1, -2)
-    rate = np.degrees(Rotation.from_matrix(steps).as_rotvec()) / dt[:, None]
-    beyond_m = _beyond_context(velocity, dt)
-    beyond_deg = _beyond_context(rate, dt)
+    dt, beyond_m, beyond_deg = _steps(t_ns, poses)
     usual_m, usual_deg = (median_filter(b, size=_MEDIAN_STEPS + 1, mode="nearest") for b in (beyond_m, beyond_deg))
     limit_m = np.maximum(_NOISE_M + _ACCELERATION_M_S2 * dt**2, _MIN_RATIO * usual_m)
     limit_deg = np.maximum(_NOISE_DEG + _ACCELERATION_DEG_S2 * dt**2, _MIN_RATIO * usual_deg)
@@ -265,6 +268,31 @@ def find_jumps(t_ns: NDArray[np.int64], poses: Array) -> list[Jump]:
         Jump(int(i) + 1, int(t_ns[i + 1]), float(dt[i]), float(beyond_m[i]), float(beyond_deg[i]), bool(splits[i]))
         for i in jumps
     ]
+
+
+def steps_over_untracked(t_ns: NDArray[np.int64], poses: Array, untracked_ns: NDArray[np.int64]) -> list[Jump]:
+    """Steps between poses (N, 4, 4) at rising times (N,) over those that the phone calls limited or lost, at rising
+    times (M,): it may move there while its VIO stands still, so what noise alone doesn't explain counts as a jump."""
+    rows = np.flatnonzero(~np.isin(t_ns, untracked_ns))
+    is_over = np.diff(np.searchsorted(untracked_ns, t_ns[rows])) > 0
+    if len(rows) < 4 or not is_over.any():
+        return []
+    dt, beyond_m, beyond_deg = _steps(t_ns[rows], poses[rows])
+    jumps = np.flatnonzero(is_over & ((beyond_m > _NOISE_M) | (beyond_deg > _NOISE_DEG)))
+    return [
+        Jump(int(row), int(t_ns[row]), float(dt[i]), float(beyond_m[i]), float(beyond_deg[i]), splits=False)
+        for i, row in zip(jumps, rows[jumps + 1], strict=True)
+    ]
+
+
+def _steps(t_ns: NDArray[np.int64], poses: Array) -> tuple[Array, Array, Array]:
+    """Per step between poses (N, 4, 4): seconds, and metres and degrees beyond what the steps around it predict."""
+    dt: Array = np.diff(t_ns).astype(float) * 1e-9
+    velocity = np.diff(poses[:, :3, 3], axis=0) / dt[:, None]
+    # Rotation in the world's axes, so that neighbouring steps can be averaged.
+    steps = poses[1:, :3, :3] @ np.swapaxes(poses[:-1, :3, :3], -1, -2)
+    rate = np.degrees(Rotation.from_matrix(steps).as_rotvec()) / dt[:, None]
+    return dt, _beyond_context(velocity, dt), _beyond_context(rate, dt)
 
 
 def _beyond_context(rate_N3: Array, dt: Array) -> Array:

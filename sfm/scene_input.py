@@ -31,7 +31,7 @@ from groundwalk.sfm.pairs.selection import pairs_within_sessions
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.child import Task
-from groundwalk.store.choices import AttemptName, Tracking
+from groundwalk.store.choices import UNTRACKED, AttemptName
 from groundwalk.store.files import write_json, written_aside
 from groundwalk.store.hints import run_command
 from groundwalk.store.manifests import BLURRED, FEATURES
@@ -117,8 +117,7 @@ def with_focal_lengths(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Wor
 def odometry_of(frames: pd.DataFrame, jumps: pd.DataFrame, sessions: pd.DataFrame) -> Odometry:
     """VIO of all frames, from tables import.frames, import.jumps and import.sessions."""
     vio_T_cam = poses_of(frames, "vio_cam")
-    # A pose that the phone itself calls limited or lost may stand still while the phone moves.
-    vio_T_cam[frames["tracking"].isin([Tracking.LIMITED, Tracking.LOST]).to_numpy()] = np.nan
+    vio_T_cam[frames["tracking"].isin(UNTRACKED).to_numpy()] = np.nan
     return odometry(
         frames["session_id"].to_numpy(object),
         frames["session_id"].map(sessions.set_index("session_id")["recording"]).to_numpy(object),

@@ -14,6 +14,8 @@ Rejected = StrEnum("Rejected", "IMAGE POSE DEPTH RECORDING")
 
 Tracking = StrEnum("Tracking", "NORMAL LIMITED LOST UNKNOWN")
 """The odometry's state, as the app says."""
+UNTRACKED = (Tracking.LIMITED, Tracking.LOST)
+"""A phone that calls its tracking so may stand still in VIO while it moves."""
 
 ImageSide = StrEnum("ImageSide", "TOP RIGHT BOTTOM LEFT")
 """A side of an image."""

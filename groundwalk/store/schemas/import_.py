@@ -74,14 +74,15 @@ rejects 1.2: Rows, files and recordings that were rejected; images that sampling
     rejected (Rejected?): what is left out by it: an image with its pose, a pose without an image, the depth image of a
         frame that stays, or a recording as a whole, which then has no other row; null for a row that can't be read
 
-jumps 1.0: Motion between two poses that no hand can do: relocalisations of the odometry.
+jumps 1.0: Motion between two poses that no hand can do: relocalisations of the odometry; and steps over poses that the
+        phone calls limited or lost, where these stood still or went elsewhere.
     session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one
         camera of several (`walk.camera2`)
     t_ns (int64, ns): time of the first pose after the jump
     dt_s (float64, s): time between the two poses
     jump_m (float64, m): displacement beyond the motion around it
     jump_deg (float64, deg): rotation beyond the motion around it
-    splits (bool): larger than 0.5 m or 15 degrees: the session was split here
+    splits (bool): larger than 0.5 m or 15 degrees, and not over such poses: the session was split here
 
 reference 1.0: Poses that a public data set has instead of VIO; no rows for phone captures. Its world is the data set's.
     frame_id (string): frame, as in `frames`

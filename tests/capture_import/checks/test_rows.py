@@ -16,9 +16,9 @@ from groundwalk.capture_import.checks.convention import unitless_parallax_pairs
 from groundwalk.capture_import.checks.plausibility import plausibility_faults
 from groundwalk.capture_import.checks.rows import check_rows
 from groundwalk.capture_import.media.images import sharpness
-from groundwalk.capture_import.sessions import far_origin, find_jumps, moved
+from groundwalk.capture_import.sessions import far_origin, find_jumps, moved, sound_sessions
 from groundwalk.geometry.poses import Array, make_pose, rotation_angle, yaw_rotation
-from groundwalk.store.choices import Clock, PoseSource
+from groundwalk.store.choices import Clock, PoseSource, Tracking
 from tests.capture_import.capture_writers import image, make_walk
 
 
@@ -136,6 +136,24 @@ def test_a_turn_of_the_whole_frame_is_a_jump_and_gauges_do_not_matter() -> None:
     elsewhere = make_pose(yaw_rotation(1.0), [100.0, -3.0, 7.0]) @ turned
     again = find_jumps(walk.t_ns, elsewhere)
     assert again[0].jump_m == pytest.approx(found[0].jump_m, abs=1e-9)
+
+
+@pytest.mark.parametrize("state", [Tracking.LIMITED, Tracking.LOST])
+@pytest.mark.parametrize("stands", [True, False])
+def test_vio_that_stood_still_while_the_phone_called_it_limited_or_lost_has_jumped(
+    state: Tracking, stands: bool
+) -> None:
+    walk = make_walk(90)
+    poses, untracked = walk.vio_T_cam.copy(), range(40, 50 if stands else 41)
+    if stands:
+        poses[50:, :3, 3] += poses[39, :3, 3] - poses[50, :3, 3]
+        poses[40:50, :3, 3] = poses[39, :3, 3]
+    recording = session_of(walk.t_ns, list(poses))
+    frames = [replace(f, tracking=state if f.number in untracked else Tracking.NORMAL) for f in recording.frames]
+    (session,) = sound_sessions(replace(recording, frames=frames), lambda _: [], 0.0)
+    assert [(j.t_ns, j.splits) for j in session.jumps][-1:] == [(walk.t_ns[50], False)] * stands
+    moved_m = np.linalg.norm(walk.vio_T_cam[50, :3, 3] - walk.vio_T_cam[39, :3, 3])
+    assert not stands or session.jumps[-1].jump_m == pytest.approx(moved_m, rel=0.2)
 
 
 def test_sharpness_falls_with_blur_and_not_with_exposure() -> None:
