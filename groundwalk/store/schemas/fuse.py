@@ -118,7 +118,8 @@ sweep 2.0: The paper's rule with other thresholds, for each scene and model.
     + _FIGURES
     + """\
 
-sessions 1.1: What a user of the method sees in one session, from the poses in time.
+sessions 1.1: What a user of the method sees in one session, from the poses in time; a row each, in order of time,
+        where the session's frames of a split are several stretches, with others between them.
     method (string): fusion method's id, as in fuse.methods
     options (string): the method's options, JSON
     model (string): the regressor whose predictions went in, as in train.predictions
