@@ -161,8 +161,8 @@ def report_cameras(
             r.say(
                 f"session {session['session_id']}: logged focal lengths {doubt} wrong: "
                 f"{_with_sd(100 * error, 100 * session['focal_scale_sd'], '.2f', '+')} % by the images, whose focal "
-                "length is used. Correct the logged one; or, where it was only a guess, raise "
-                f"{setting_of('align', 'max_focal_error')}, by which align refuses the session"
+                "length is used. Correct the logged one; or, where it was only a guess, let "
+                f"{setting_of('align', 'max_focal_error')} be larger than that: else align refuses the session"
             )
 
 
