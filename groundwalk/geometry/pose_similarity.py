@@ -16,6 +16,7 @@ _POSITION_FRACTION, _ROTATION_SD, _ROTATION_RESIDUAL_SD = 0.01, float(np.radians
 # Smaller residuals, in these sigmas, count alike: a tenth of a per cent of the extent.
 _RESIDUAL_FLOOR = 0.1
 _MIN_POSES = 3
+_UNKNOWNS = 7
 # Cameras in one place have no scale: positions apart by rounding alone.
 _MIN_EXTENT = 1e-9
 
@@ -24,8 +25,8 @@ _MIN_EXTENT = 1e-9
 class PoseSimilarity:
     """The a_S_b that brings poses of b onto a's, and the residuals: distances in a's unit and radians (N,).
 
-    `scale_sd` is relative, `turn_sd` in radians an axis: standard errors of the fit by the scatter of the residuals,
-    independent from pose to pose.
+    `scale_sd` is relative, `turn_sd` in radians about the least certain axis: standard errors of the fit by the scatter
+    of the residuals, independent from pose to pose.
     """
 
     a_S_b: Sim3
@@ -62,8 +63,14 @@ def fit_similar_poses(a_T_cam: ArrayLike, b_T_cam: ArrayLike, *, with_scale: boo
     a_S_b, weights = fit_robust(fit, normalised, len(a), floor=_RESIDUAL_FLOOR)
     position, rotation = pose_residuals(a, a_S_b.poses(b), np.eye(4))
     count = float(weights.sum())
-    sd, turn_sd = (float(np.sqrt(weights @ residual**2 / (3 * count))) for residual in (position, rotation))
-    by_positions, by_rotations = sd / (radius * np.sqrt(count)), turn_sd / np.sqrt(count)
-    # Two thirds of an even extent lie across an axis; a straight path has none across its own, but rotations.
-    turn = float(np.minimum(np.sqrt(1.5) * by_positions, by_rotations)) if by_rotations else by_positions
-    return PoseSimilarity(a_S_b, position, rotation, by_positions if with_scale else 0.0, turn)
+    # Positions give nearly all of the seven unknowns.
+    variance = float(weights @ position**2) / max(3 * count - _UNKNOWNS, 1.0)
+    of_rotations = float(weights @ rotation**2) / (3 * count)
+    # What the fit knows of a turn about each axis of the positions, by these and by rotations, as it weighs the two.
+    arm = xyz_a - np.average(xyz_a, axis=0, weights=weights)
+    spread = np.linalg.eigvalsh((weights * arm.T) @ arm)
+    known, by_rotations = np.maximum(spread.sum() - spread, 0) / position_sd**2, count / _ROTATION_SD**2
+    spoiled = known * variance / position_sd**2 + by_rotations * of_rotations / _ROTATION_SD**2
+    turn = float(np.sqrt(spoiled / (known + by_rotations) ** 2).max())
+    scale_sd = float(np.sqrt(variance / count)) / radius if with_scale else 0.0
+    return PoseSimilarity(a_S_b, position, rotation, scale_sd, turn)

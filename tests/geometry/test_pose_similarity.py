@@ -32,14 +32,17 @@ def test_the_gauge_is_found(on_a_line: bool, outliers: int) -> None:
     assert found.position[:outliers].min(initial=9.0) > 1.0
 
 
-def test_sigmas_say_how_far_the_fit_is_off() -> None:
+@pytest.mark.parametrize(("height", "turned"), [(1.0, 0.01), (0.05, 0.003)])
+def test_sigmas_say_how_far_the_fit_is_off(height: float, turned: float) -> None:
+    """Of poses all around, and on one floor with rotations that are better than positions."""
     scales, turns, stated = [], [], []
     rng = np.random.default_rng(99)
     for seed in range(60):
         b = poses(50, seed)
+        b[:, 1, 3] *= height
         a = GAUGE.poses(b)
         a[:, :3, 3] += rng.normal(0, 0.2, (50, 3))
-        a[:, :3, :3] = Rotation.from_rotvec(rng.normal(0, 0.01, (50, 3))).as_matrix() @ a[:, :3, :3]
+        a[:, :3, :3] = Rotation.from_rotvec(rng.normal(0, turned, (50, 3))).as_matrix() @ a[:, :3, :3]
         found = fit_similar_poses(a, b)
         scales.append(found.a_S_b.scale / GAUGE.scale - 1)
         turns.append(Rotation.from_matrix(found.a_S_b.rotation @ GAUGE.rotation.T).as_rotvec())
