@@ -4,7 +4,7 @@ Depth images are as import has them: 16-bit PNG, millimetres along the camera's 
 image; their confidence is 0, 1, 2 or 0, 127, 255.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from urllib.parse import unquote
@@ -136,9 +136,10 @@ def agreement_table(samples: pd.DataFrame, seed: int) -> pd.DataFrame:
     return table.astype({"confidence": "Int64", "far_m": float})
 
 
-def check_depth(agreement: pd.DataFrame) -> tuple[list[CheckResult], list[str]]:
+def check_depth(agreement: pd.DataFrame, scale_sd: Mapping[int, float]) -> tuple[list[CheckResult], list[str]]:
     """Checks of each session's scale and geometry by its depth (the align.depth_agreement table), and lines for the
-    user. A failure excludes no frame: map or sensor may be what is wrong."""
+    user; `scale_sd`: standard error of each model's scale, as a fraction. A failure excludes no frame: map or sensor
+    may be what is wrong."""
     results, lines = list[CheckResult](), []
     sessions = agreement[["session_id", "component"]].drop_duplicates()
     for session_id, component in sessions.itertuples(index=False, name=None):
@@ -157,7 +158,7 @@ def check_depth(agreement: pd.DataFrame) -> tuple[list[CheckResult], list[str]]:
             continue
         whole, bins = rows[is_whole].iloc[0], rows[~is_whole & (rows["far_m"] <= MAX_RANGE_M)]
         subject = Subject(int(whole["frames"]), session_id, int(component))
-        error, sd = float(whole["median_ratio"]) - 1, float(whole["median_ratio_se"])
+        error, sd = float(whole["median_ratio"]) - 1, float(np.hypot(whole["median_ratio_se"], scale_sd[component]))
         reason = (
             f"the sensor's depth is {abs(error):.2%} {'more' if error > 0 else 'less'} than the map's "
             f"(± {sd:.2%}, {whole['samples']} points in {whole['frames']} frames)"

@@ -160,7 +160,8 @@ def _check_by_depth(
     r.write("depth_agreement", agreement)
     if not checked.placed[0].component.scale.is_known:
         return []
-    checks, lines = check_depth(agreement)
+    components = [each.component for each in checked.placed]
+    checks, lines = check_depth(agreement, {component.index: component.scale.sd for component in components})
     for line in lines:
         r.say(line)
     return checks

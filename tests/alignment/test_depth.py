@@ -23,6 +23,7 @@ from tests.known import cells
 
 COUNT, SIZE, SHAPE = 12, (640, 480), (96, 128)
 K = np.array([[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]])
+EXACT = {0: 0.0}
 GAUGE = Sim3(0.4, Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix(), np.array([3.0, -7.0, 1.0]))
 
 
@@ -112,16 +113,18 @@ def test_the_ratio_is_that_of_the_scales(scene: Placed, tmp_path: Path, scale: f
     assert whole["median_ratio"] == pytest.approx(1 / scale, abs=5e-4) and whole["median_ratio_se"] < 1e-3
     bins = table[table["confidence"].isna() & ((table["near_m"] > 0) | (table["far_m"] != 5.0))]
     assert bins["samples"].sum() == len(samples) and len(bins) > 2
-    checks, (line,) = check_depth(table)
+    checks, (line,) = check_depth(table, EXACT)
     (of_scale,) = [c for c in checks if c.name == "session_depth_scale"]
     assert of_scale.status == ("passed" if scale == 1.0 else "failed") and of_scale.sd == whole["median_ratio_se"]
     assert ("9.09% less" in line) == (scale == 1.1)
+    # Beside a scale that isn't known to so much, that decides nothing.
+    assert check_depth(table, {0: 0.04})[0][0].status == "undecided"
 
 
 def test_an_error_that_grows_with_distance_is_named(scene: Placed, tmp_path: Path) -> None:
     samples = samples_of(scene, tmp_path)
     samples["sensor_m"] *= 1 + 0.06 * (samples["map_m"] - 2)
-    checks, _ = check_depth(agreement_table(samples, seed=0))
+    checks, _ = check_depth(agreement_table(samples, seed=0), EXACT)
     (failed,) = with_status(checks, Status.FAILED)
     assert failed.name == "session_depth_by_distance" and "differs with distance" in failed.reason
 
@@ -130,11 +133,11 @@ def test_too_little_depth_judges_nothing(scene: Placed, tmp_path: Path) -> None:
     frames, images, placed = scene
     frames.loc[2:, "depth"] = None
     samples = samples_of((frames, images, placed), tmp_path, 1.3)
-    (result,), (line,) = check_depth(agreement_table(samples, seed=0))
+    (result,), (line,) = check_depth(agreement_table(samples, seed=0), EXACT)
     assert (result.name, result.subject.session_id, result.status) == ("session_depth_scale", "walk", "undecided")
     assert "too little depth" in line and result.value is None and result.advice.startswith("more frames with depth")
     frames["depth"] = [f"depth{i}.png" for i in range(COUNT)]
-    (decided, *_), _ = check_depth(agreement_table(samples_of((frames, images, placed), tmp_path, 1.3), seed=0))
+    (decided, *_), _ = check_depth(agreement_table(samples_of((frames, images, placed), tmp_path, 1.3), seed=0), EXACT)
     assert decided.status == "failed"
     frames["depth"] = None
     assert not len(agreement_table(samples_of((frames, images, placed), tmp_path), seed=0))
