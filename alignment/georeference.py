@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.alignment.components import PlacedComponent
+from groundwalk.alignment.components import MapScale, PlacedComponent
 from groundwalk.alignment.control.check import ControlCheck
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry import GeometryError
@@ -45,7 +45,7 @@ def of_surveys(checks: Sequence[ControlCheck], placed: Sequence[PlacedComponent]
             source=points.settings.name,
             origin=points.origin,
             enu_S_map=fit.survey_S_map,
-            covariance=fit.covariance,
+            covariance=_with_scale(fit.covariance, placed[0].component.scale),
             middle=check.mapped.xyz[check.used].mean(axis=0),
             stated=len(points.names),
             used=len(off),
@@ -122,7 +122,7 @@ def of_gps(
         source="gps",
         origin=origin,
         enu_S_map=fit.enu_S_map,
-        covariance=fit.covariance,
+        covariance=_with_scale(fit.covariance, main.scale),
         middle=fit.middle,
         stated=stated,
         used=len(used),
@@ -131,6 +131,13 @@ def of_gps(
         gives_scale=not main.scale.is_known,
         remarks=remarks,
     )
+
+
+def _with_scale(covariance: Array, scale: MapScale) -> Array:
+    """A fit's covariance (7, 7) with the variance of the map's own scale, where a rigid fit took that as it is."""
+    result = covariance.copy()
+    result[6, 6] = covariance[6, 6] or scale.sd**2
+    return result
 
 
 def _middle(geodetic: Array) -> Origin:

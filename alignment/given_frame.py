@@ -64,7 +64,7 @@ def _of(
     world_S_map: Sim3, covariance: Array, placed: PlacedComponent, up: Array | None, scale_by: str, by: VerticalSource
 ) -> GivenFrame:
     """By a similarity to a world with `up` (3,), and its covariance (7, 7): rotation, translation, log scale. A rigid
-    one, whose scale has no variance, gives no scale, nor does one known to less than a third."""
+    fit of points, whose scale has no variance, gives no scale, nor does one known to less than a third."""
     world_S_sfm = world_S_map @ placed.map_S_sfm
     scale = vertical = None
     scale_sd = float(np.sqrt(covariance[6, 6]))

@@ -204,7 +204,8 @@ def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[
     if dataset.georeference is not None:
         dataset.georeference.write(folder / FILE)
         enu, sd, geodetic = dataset.georeference.places(dataset.map_T_cam[:, :3, 3])
-        places = pd.DataFrame(np.hstack([geodetic, enu, sd]), columns=_PLACE)
+        own = dataset.georeference.enu_S_map.scale * frames[["position_sd_m"]].astype(float).fillna(0.0).to_numpy()
+        places = pd.DataFrame(np.hstack([geodetic, enu, np.hypot(sd, own)]), columns=_PLACE)
         pd.concat([exported[["frame_id", "image"]], places], axis=1).to_csv(folder / _PLACES, index=False)
     # Those of further SfM models, which a format may have no place for, have no path. Without images none needs one.
     written = frames[np.array(placed) != ""] if any(placed) else frames

@@ -16,7 +16,7 @@ from groundwalk.alignment.ground_truth import poses_in_map
 from groundwalk.alignment.rulers.measurement import observations_of
 from groundwalk.alignment.sfm_tables import covariances
 from groundwalk.alignment.uncertainty import covariance_in_map
-from groundwalk.consistency.decisions import Status, decide
+from groundwalk.consistency.decisions import Status, beyond, decide
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.control import ControlFit, fit_control
 from groundwalk.geometry.fits import Sim3, fit_sim3
@@ -37,6 +37,8 @@ _CHI2_95 = 7.815
 _UNITS = {"feet": 0.3048, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 # A map's own scale is off by less.
 _UNIT_TOLERANCE = 0.05
+# Neither a level's error nor that of a phone's gravity.
+_MAX_TILT_DEG = 5.0
 _NO_ESTIMATE = Quantity()
 UP = {"z": np.array([0.0, 0.0, 1.0]), "y": np.array([0.0, 1.0, 0.0])}
 
@@ -152,8 +154,9 @@ def check_control(
         scale=((1 / scale - 1 if rigid else scale), float(np.sqrt(free.covariance[6, 6])) * (1 if rigid else scale)),
         tilt_deg=unknown if up is None else _tilt_deg(fit, up, main.vertical),
     )
-    if check.tilt_deg[0] > 90:
-        fault = f"mirrored: its up is the map's down (tilt {check.tilt_deg[0]:.0f}°); are two of its axes exchanged?"
+    if beyond(*check.tilt_deg, _MAX_TILT_DEG):
+        what = "mirrored: its up is the map's down" if check.tilt_deg[0] > 90 else "its up isn't the map's"
+        fault = f"{what} (tilt {check.tilt_deg[0]:.0f}°); are two of its axes exchanged, or is it not level?"
         return replace(check, fit=None, result=_result(points, subject, Status.FAILED, fault))
     wrong = _wrong(points, mapped, similar, usable_points & ~used)
     mapped.remarks.update(wrong)

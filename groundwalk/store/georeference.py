@@ -18,9 +18,9 @@ FILE = "georeference.json"
 @dataclass(frozen=True, kw_only=True)
 class Georeference:
     """East, north, up (metres) at `origin` from the map, `enu_S_map`, by `source` (`gps`, or a survey's name); its
-    covariance (7, 7): rotation about east, north, up, translation at `middle` (3,) of the map, log scale; NaN for an up
-    that nothing tells. `used` of `stated` positions fit with `rms_m` and `worst_m`, horizontally for GPS.
-    `gives_scale`: the map has none of its own. `remarks` say what was left out."""
+    covariance (7, 7): rotation about east, north, up, translation at `middle` (3,) of the map, log scale (that of the
+    map, where it has one); NaN for an up that nothing tells. `used` of `stated` positions fit with `rms_m` and
+    `worst_m`, horizontally for GPS. `gives_scale`: the map has none of its own. `remarks` say what was left out."""
 
     source: str
     origin: Origin

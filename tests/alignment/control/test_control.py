@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 from groundwalk.alignment.check_models import CheckedMap, check_models
 from groundwalk.alignment.components import NO_SCALE, NOT_GIVEN, GivenFrame, PlacedComponent
@@ -154,6 +155,28 @@ def test_a_survey_in_wgs84_places_the_map_on_earth(place: tuple[Scene, Array], t
     np.testing.assert_allclose(found[0][:, :2], earth.iloc[:, :2], atol=3e-7)
 
 
+def test_cameras_away_from_the_survey_are_as_far_off_on_earth_as_stated(walks: Walks, tmp_path: Path) -> None:
+    """In maps that are 0.2 % too large, one sigma, the scale takes them away."""
+    inside = []
+    for seed in range(6):
+        scene, xyz = made(walks, seed)
+        survey = pd.DataFrame(xyz @ ENU_R_MAP.T, columns=["x_m", "y_m", "z_m"]).assign(point=NAMES)
+        survey.to_csv(tmp_path / "survey.csv", index=False)
+        observed(scene, xyz, seed).to_csv(tmp_path / "seen.csv", index=False)
+        checked = check_models(scene.inputs(), AlignSettings())
+        component = checked.placed[0].component
+        scale = replace(component.scale, sd=0.002, log=0.002 - float(np.log(walks.gauge.scale)))
+        component = replace(component, scale=scale)
+        placed = [PlacedComponent(component, component.metric_S_sfm)]
+        points = points_of(scene, tmp_path, origin=(46.5, 6.5, 400.0))
+        found = of_surveys([checked_in(scene, replace(checked, placed=placed), points)], placed)
+        assert found is not None and found.enu_S_map.scale == 1
+        away = scene.true_T_cam[:, :3, 3] + [20.0, 0.0, 0.0]
+        enu, sd, _ = found.places(component.metric_S_sfm.points(walks.gauge.points(away)))
+        inside.append(np.abs(enu - away @ ENU_R_MAP.T) <= 1.96 * sd)
+    assert np.mean(inside) >= 0.85, np.mean(inside)
+
+
 def test_a_survey_gives_a_map_of_images_alone_scale_and_vertical(place: tuple[Scene, Array], tmp_path: Path) -> None:
     """And half of its points, by a fit of the others with a scale of their own, judge it."""
     judged(*place, tmp_path)
@@ -191,13 +214,14 @@ def exchanged(enu: Array) -> Array:
     ("change", "reason"),
     [
         (lambda enu: enu[:, [1, 0, 2]], "mirrored"),
+        (lambda enu: enu @ Rotation.from_euler("x", 20, degrees=True).as_matrix(), r"up isn't the map's \(tilt 20°\)"),
         (lambda enu: FEET * enu, "they are in feet, metres are expected"),
         (lambda enu: 1000 * enu, "they are in millimetres, metres are expected"),
         (lambda enu: 100 * enu, "they are in centimetres, metres are expected"),
         (exchanged, "P03 and P07 are exchanged"),
         (one_wrong, r"P04 is (0\.99|1\.0)\d* m from where the images have it"),
     ],
-    ids=["mirrored", "feet", "millimetres", "centimetres", "exchanged", "metre"],
+    ids=["mirrored", "tilted", "feet", "millimetres", "centimetres", "exchanged", "metre"],
 )
 def test_a_wrong_survey_is_named(change: Callable[[Array], Array], reason: str, walks: Walks, tmp_path: Path) -> None:
     check = judged(*made(walks, 1), tmp_path, change)
