@@ -98,11 +98,12 @@ def campaign(
 
     root = DataRoot(data)
     folder = root.root / "campaigns" / checked_name("scene", table.stem)
+    _refuse_another(folder, table)
     if not status:
         with locked(folder):
             jobs, problems = plan(table, profile, root)
             cores = cores or usable_cores()
-            write_workflow(folder, jobs, problems, root, cores, is_local=_is_local(context.args))
+            write_workflow(folder, jobs, problems, root, cores, table=table, is_local=_is_local(context.args))
             failed = _snakemake(folder, cores, context.args) if jobs else 0
     outcome = write_report(folder, root)
     write_index(root)
@@ -111,6 +112,19 @@ def campaign(
         upload(root.root, _results(folder, outcome, root), results)
     if not status and (failed or (outcome["state"] != State.DONE).any()):
         raise typer.Exit(1)
+
+
+def _refuse_another(folder: Path, table: Path) -> None:
+    """UserError where a campaign's folder is that of another CSV of the same name, which is still there."""
+    planned = Path(read_json(folder / PLAN).get("table") or table)
+    if planned.exists() and table.exists() and not table.samefile(planned):
+        raise UserError(
+            "the campaign's folder is of another table with the same name",
+            where=folder,
+            expected=f"a campaign of {table.absolute()}",
+            found=f"one of {planned}",
+            do="give the table another name, or name another data folder with --data",
+        )
 
 
 def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str, str]]:
@@ -132,19 +146,26 @@ def plan(table: Path, profile: str, data: DataRoot) -> tuple[list[Job], dict[str
             problems[of_scene] = f"the scene has other captures above, {captures_of[scene]}: give it another name"
             continue
         try:
-            if is_address(captures):
-                local = data.root / "downloads" / checked_name("scene", scene)
-                local.mkdir(parents=True, exist_ok=True)
+            if captures:
+                local = captures_folder(table, row, data)
+                if is_address(captures):
+                    local.mkdir(parents=True, exist_ok=True)
                 link_folder(data, scene, local)
-                with locked(local):
-                    download(captures, local)
-            elif captures:
-                # Path.expanduser fails where there is no such user.
-                link_folder(data, scene, table.parent / os.path.expanduser(captures))  # noqa: PTH111
+                if is_address(captures):
+                    with locked(local):
+                        download(captures, local)
             jobs |= {job.id: job for job in _jobs_of(data, row.get("profile", profile), scene, row.get("until"))}
         except UserError as error:
             problems[of_scene] = str(error)
     return list(jobs.values()), problems
+
+
+def captures_folder(table: Path, row: dict[str, str], data: DataRoot) -> Path:
+    """The folder that a line of a CSV has as its scene's captures, or downloads them into."""
+    if is_address(row["captures"]):
+        return data.root / "downloads" / checked_name("scene", row["scene"])
+    # Path.expanduser fails where there is no such user.
+    return table.parent / os.path.expanduser(row["captures"])  # noqa: PTH111
 
 
 def read_scenes(table: Path) -> Iterator[dict[str, str]]:
@@ -184,11 +205,18 @@ def _jobs_of(data: DataRoot, profile: str, scene: str, until: str | None) -> Ite
 
 
 def write_workflow(
-    folder: Path, jobs: list[Job], problems: dict[str, str], data: DataRoot, cores: int = 1, *, is_local: bool = True
+    folder: Path,
+    jobs: list[Job],
+    problems: dict[str, str],
+    data: DataRoot,
+    cores: int = 1,
+    *,
+    table: Path | None = None,
+    is_local: bool = True,
 ) -> None:
-    """Write the plan and the workflow. Flags of what isn't up to date any more go, and so do notes of refusals: their
-    reason may be gone. A job takes all cores of this machine, or its share of them where the jobs run here: side by
-    side scenes keep cores busier than one after the other."""
+    """Write the plan, which names the CSV `table`, and the workflow. Flags of what isn't up to date any more go, and so
+    do notes of refusals: their reason may be gone. A job takes all cores of this machine, or its share of them where
+    the jobs run here: side by side scenes keep cores busier than one after the other."""
     for job in jobs:
         flag = folder / "done" / job.id
         if flag.exists() and not is_step_up_to_date(Step(job.command, job.scene), job.profile, data):
@@ -197,6 +225,7 @@ def write_workflow(
     commands = list(dict.fromkeys(job.command for job in jobs))
     kinds = Counter((job.profile, job.command) for job in jobs)
     content = {
+        "table": table and str(table.resolve()),
         "needs": {job.id: job.needs for job in jobs},
         "resources": {
             "/".join(kind): _resources(*kind, data, max(1, cores // scenes) if is_local else cores)

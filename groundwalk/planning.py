@@ -4,7 +4,7 @@ Nothing is guessed: what no finished run has measured is said not to be measured
 """
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import typer
 from rich.table import Table
 
-from groundwalk.campaign import read_scenes
+from groundwalk.campaign import captures_folder, read_scenes
 from groundwalk.cli import stage_of
 from groundwalk.pipeline import Step, steps
 from groundwalk.simulation.settings import SimulateSettings
@@ -63,32 +63,39 @@ def plan_command(
     measured is said, and never guessed.
     """
     root = DataRoot(data)
+    unlinked: set[str] = set()
     if table is None:
         planned = [(profile, step) for step in steps(root, profile, _PAPER)]
     else:
-        rows = [(row.get("profile", profile), row["scene"], row.get("until", STAGES[-1])) for row in read_scenes(table)]
-        planned = [(of, step) for of, scene, until in rows for step in steps(root, of, scene, until)]
+        planned = []
+        for row in read_scenes(table):
+            of, scene, linked = row.get("profile", profile), row["scene"], root.captures(row["scene"]).resolve()
+            if "captures" in row and captures_folder(table, row, root).resolve() != linked:
+                unlinked.add(scene)
+            planned += [(of, step) for step in steps(root, of, scene, row.get("until", STAGES[-1]))]
     if not any(finished_stages(root, stage) for stage in STAGES):
         raise UserError(
             "no finished run says what anything takes",
             where=root.root / "runs",
             do="groundwalk run --scene Church --profile demo, for example; then plan again",
         )
-    _print(estimates(planned, root))
+    _print(estimates(planned, root, unlinked))
 
 
-def estimates(planned: Iterable[tuple[str, Step]], data: DataRoot) -> list[Estimate]:
-    """What profiles' steps take, a row a profile and stage, in the stages' order. Simulating keeps no times."""
+def estimates(planned: Iterable[tuple[str, Step]], data: DataRoot, unlinked: Collection[str] = ()) -> list[Estimate]:
+    """What profiles' steps take, a row a profile and stage, in the stages' order. Simulating keeps no times. The scenes
+    `unlinked` are to have other captures than the data folder's, of which nothing is known."""
     scenes: dict[tuple[str, str], dict[str, None]] = {}  # in order, each once
     for profile, step in planned:
-        scenes.setdefault((profile, step.command), {})[step.scene] = None
+        if step.command != "simulate" or step.scene not in unlinked:
+            scenes.setdefault((profile, step.command), {})[step.scene] = None
     order = ("simulate", *STAGES)
     kinds = sorted(scenes, key=lambda kind: (kind[0], order.index(kind[1])))
-    return [_estimate(profile, stage, list(scenes[profile, stage]), data) for profile, stage in kinds]
+    return [_estimate(profile, stage, list(scenes[profile, stage]), data, unlinked) for profile, stage in kinds]
 
 
-def _estimate(profile: str, stage: str, scenes: list[str], data: DataRoot) -> Estimate:
-    counts = {scene: _planned_frames(profile, scene, data) for scene in scenes}
+def _estimate(profile: str, stage: str, scenes: list[str], data: DataRoot, unlinked: Collection[str]) -> Estimate:
+    counts = {scene: _planned_frames(profile, scene, data, unlinked) for scene in scenes}
     known = [count for count in counts.values() if count is not None]
     total = sum(known) if len(known) == len(counts) else None
     estimate = Estimate(profile, stage, len(scenes), total, "not measured")
@@ -113,12 +120,14 @@ def _estimate(profile: str, stage: str, scenes: list[str], data: DataRoot) -> Es
     )
 
 
-def _planned_frames(profile: str, scene: str, data: DataRoot) -> int | None:
+def _planned_frames(profile: str, scene: str, data: DataRoot, unlinked: Collection[str]) -> int | None:
     """Frames that a scene, or a group's scenes, will have: those imported with this profile; else those that would be
-    simulated; else those imported with another profile. None where none of these is known."""
+    simulated; else those imported with another profile. None where none of these is known, or of these captures."""
+    if scene in unlinked:
+        return None
     config = data.scene(scene)[0]
     if config.is_group:
-        counts = [_planned_frames(profile, leaf, data) for leaf in data.leaves(config)]
+        counts = [_planned_frames(profile, leaf, data, unlinked) for leaf in data.leaves(config)]
         return None if None in counts else sum(count or 0 for count in counts)
     captures = data.captures(scene)
     imported = [_rows(run.folder) for run in finished_stages(data, "import") if run.folder.parent.name == scene]

@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from groundwalk.campaign import PLAN, WORKFLOW, Job, State, plan, write_report, write_workflow
+from groundwalk.campaign import app as campaign_app
 from groundwalk.capture_import.__main__ import app as import_app
 from groundwalk.store import DataRoot, UserError
 from tests.capture_import.capture_writers import WRITERS, make_walk
@@ -163,3 +164,20 @@ def test_flags_of_what_is_outdated_go_and_resources_are_those_of_finished_runs(t
     assert resources["tiny/sfm"]["mem_mb"] == 5012 and resources["tiny/sfm"]["runtime"] == 20
     assert resources["tiny/import"]["mem_mb"] == 4096
     assert (write_report(folder, data)["state"] == State.WAITING).all()
+
+
+def test_a_campaign_is_of_one_table_though_others_have_its_name(tmp_path: Path) -> None:
+    """Its state was shown as the other's, and the other's plan took its place."""
+    data, mine, other = tmp_path / "data", tmp_path / "mine" / "scenes.csv", tmp_path / "other" / "scenes.csv"
+    for table in (mine, other):
+        table.parent.mkdir()
+        table.write_text("scene\nChurch\n")
+    folder = data / "campaigns" / "scenes"
+    write_workflow(folder, [Job("Church", "tiny", "import")], {}, DataRoot(data), table=mine)
+    for options in (["--status"], []):
+        with pytest.raises(UserError, match=r"another table[\s\S]*mine[\s\S]*another name"):
+            CliRunner().invoke(campaign_app, [str(other), "--data", str(data), *options], catch_exceptions=False)
+    mine.rename(tmp_path / "scenes.csv")  # one that was moved is still the same campaign
+    for table in (tmp_path / "scenes.csv", other):
+        said = CliRunner().invoke(campaign_app, [str(table), "--data", str(data), "--status"], catch_exceptions=False)
+        assert "1 waiting" in said.output

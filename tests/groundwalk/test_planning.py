@@ -95,3 +95,27 @@ def test_a_capture_must_be_imported_to_be_counted_and_no_run_is_a_refusal(tmp_pa
     finish_import(DataRoot(tmp_path), "tiny", "other", 10)
     said = CliRunner().invoke(app, arguments, catch_exceptions=False).output
     assert "import first, to count: mine" in said and re.search("sum( +–){4}", said)
+
+
+def test_captures_that_a_table_names_are_not_those_of_earlier_runs_until_they_are_imported(tmp_path: Path) -> None:
+    """The column was ignored: a real church was planned as the simulated one."""
+    data, walks = DataRoot(tmp_path / "data"), tmp_path / "walks"
+    (walks / "church").mkdir(parents=True)
+    finish_import(data, "tiny", "Library", 10)
+    (table := tmp_path / "scenes.csv").write_text(
+        "scene,captures,until\nChurch,walks/church,import\nLibrary,s3://walks/library,import\n"
+    )
+
+    def said() -> str:
+        arguments = [str(table), "--profile", "tiny", "--data", str(data.root)]
+        return CliRunner().invoke(app, arguments, catch_exceptions=False).output
+
+    assert "import first, to count: Church, Library" in said() and "simulate" not in said()
+    assert not data.captures("Church").exists() and not (data.root / "downloads").exists()
+    for scene, folder in (("Church", walks / "church"), ("Library", data.root / "downloads" / "Library")):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "walk.mp4").touch()
+        data.captures(scene).parent.mkdir(exist_ok=True)
+        data.captures(scene).symlink_to(folder)
+    finish_import(data, "tiny", "Church", 30)
+    assert re.search("tiny +import +.1. +2 +40", said())
