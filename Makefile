@@ -43,7 +43,7 @@ endif
 # constraints.txt pins each package on every platform. hashes.txt has their hashes, but for torch and the CUDA packages that
 # it brings, which indexes build on their own; pip takes no hashes of constraints, so these come first.
 $(installed): pyproject.toml constraints.txt hashes.txt
-	@echo "Installing into .venv (4.1 GB, a few minutes; once)"
+	@echo "Installing into .venv (4.2 GB, a few minutes; once)"
 	@$(python) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "error: Python 3.11 or later is needed, found $$($(python) --version); name one: make python=python3.12 ..."; exit 2; }
 	@$(python) -m venv .venv

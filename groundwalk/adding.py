@@ -88,8 +88,8 @@ def _change(data: DataRoot, profile: str, scene: str, new: Path | None, gone: st
     with locked(run / CHANGE):
         note = read_json(aside / KEY_FILE)
         if note.get("key") != key or "done" not in note:
-            place = Path(new.name) if new else _path_of(captures, gone)
             note = {"key": key, "before": _keys(data, profile, scene)}
+            place = Path(new.name) if new else _path_of(captures, gone)
             note["into"] = _folder_for(captures, data, profile, scene) if new else ""
             if new and (os.path.lexists(captures / place) or place.name == note["into"]):
                 raise UserError(f"the captures have {place} already", where=captures / place, do="give it another name")
@@ -132,11 +132,12 @@ def _path_of(captures: Path, recording: str) -> Path:
     found = {p for path in paths for p in (path, *path.parents) if recording in (p.name, p.stem)}
     top = sorted(p for p in found if not found & {*p.parents})
     if len(top) != 1:
+        folders = sorted({path.parts[0] for path in paths if len(path.parts) > 1})
         raise UserError(
             f"the captures have no recording {recording!r} in a folder or file of its own",
             where=captures,
             found=", ".join(map(str, top)) or None,
-            expected=f"one of {', '.join(sorted({path.parts[0] for path in paths if len(path.parts) > 1}))}",
+            expected=f"one of {', '.join(folders)}" if folders else "several recordings, each in a folder of its own",
         )
     return top[0]
 

@@ -68,7 +68,7 @@ def _no_run(data: DataRoot, profile: str, scene: str) -> UserError:
         f"scene {scene} has no run of profile {profile}",
         where=runs,
         found=name_list(there, 5),
-        do=f"{run_command(data.run(profile, scene, STAGES[-1]))}; or name another data folder with data=...",
+        do=f"{run_command(data.run(profile, scene, STAGES[-1]))}; or name the profile or data folder of another run",
     )
 
 

@@ -10,13 +10,13 @@ from pathlib import Path
 from groundwalk.store.child import ProcessDied
 from groundwalk.store.errors import MachineError, UserError
 
-_OTHER_DISK = "name a data folder on another disk with --data"
+_OTHER_DISK = "name a data folder on another disk with --data (judge: --out)"
 _DO = {
     errno.ENOSPC: "free some space",
     errno.EDQUOT: "free some space",
     errno.EFBIG: "raise the limit (ulimit -f unlimited)",
-    errno.EROFS: "name another data folder with --data, or make this one writable",
-    errno.EEXIST: "move it away, or name another data folder with --data",
+    errno.EROFS: "name another data folder with --data (judge: --out), or make this one writable",
+    errno.EEXIST: "move it away, or name another data folder with --data (judge: --out)",
     errno.EACCES: "look at the owner and the permissions of this path and of its folder",
     errno.EMFILE: "raise the limit (ulimit -n 4096)",
     errno.ELOOP: "take the link away",

@@ -13,7 +13,7 @@ from typing import Any
 from groundwalk.store.definition import Stage
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import hash_files, read_json, sha256_of, state_of_files
-from groundwalk.store.hints import link_command, run_command
+from groundwalk.store.hints import groundwalk_command, link_command, run_command
 from groundwalk.store.locks import locked
 from groundwalk.store.manifests import MANIFEST, Replaced, load_manifest, load_verified, missing_stage, replaced_input
 from groundwalk.store.settings import DataRoot, SceneConfig, Settings
@@ -195,11 +195,13 @@ def hashes_of_named(files: Iterable[str], scene: str, data: DataRoot) -> dict[st
 def no_captures(scene: str, captures: Path, profile: str) -> UserError:
     """The error for a scene without a file that import may read."""
     found, do = "nothing", link_command(captures, profile)
+    others = f"; or correct the scene's name: {groundwalk_command()} scenes lists those that there are"
     if links := sorted(path.name for path in captures.glob("*") if path.is_symlink() and path.is_dir()):
         found = f"links to folders, which import doesn't follow: {', '.join(links)}"
         do = f"copy what they point to there; or move this folder away and link one that holds it: {do}"
+        others = ""
     what, expected = f"scene {scene} has no captures", "a folder of phone captures"
-    return UserError(what, where=captures, expected=expected, found=found, do=do)
+    return UserError(what, where=captures, expected=expected, found=found, do=do + others)
 
 
 def capture_files(captures: Path) -> list[Path]:

@@ -191,6 +191,15 @@ def test_a_walk_that_does_not_fit_is_refused_with_the_reason_and_changes_nothing
         assert _files(data) == before and not (data.run("tiny", "room") / ".change.partial").exists()
 
 
+def test_what_there_is_not_to_take_out_is_said(tmp_path: Path) -> None:
+    """A scene's name that is mistyped, and a recording that is all of the captures: the list of others was empty."""
+    with pytest.raises(UserError, match="scene room has no captures"):
+        _command(DataRoot(tmp_path), "remove", "one")
+    written(tmp_path / "frame_00000.jpg", "")
+    with pytest.raises(UserError, match="several recordings, each in a folder of its own"):
+        adding._path_of(tmp_path, "one")
+
+
 def test_what_cannot_be_copied_is_named_with_the_cause_and_nothing_is_left(
     data: DataRoot, walks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

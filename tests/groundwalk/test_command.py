@@ -234,7 +234,7 @@ def test_a_group_s_scenes_come_before_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "scene place has no captures"),
+        ("", "scene place has no captures.*correct the scene's name: .*groundwalk scenes"),
         ("[align]\nmax_speed = 3", r"'max_speed'.*\[align\] of \S+place\.toml"),
         ("[fuse]\noptions.window30.frames = 3", r"'frames'.*window30.*\[fuse\] of \S+place\.toml"),
         ("[fuse]\nmethods = ['windw30']", r"no fusion method 'windw30'.*\[fuse\] of \S+place\.toml"),

@@ -203,7 +203,9 @@ def test_a_run_is_opened_by_its_folder(make_run: Make, tmp_path: Path) -> None:
 
 def test_a_missing_run_is_said_with_those_that_are_there(make_run: Make, tmp_path: Path) -> None:
     made = make_run("import")
-    with pytest.raises(UserError, match=r"(?s)no run of profile demo.*found: +place of profile tiny"):
+    with pytest.raises(
+        UserError, match=r"(?s)no run of profile demo.*found: +place of profile tiny.*or name the profile"
+    ):
         groundwalk.open("place", data=made.data.root)
     with pytest.raises(UserError, match=r"(?s)scene Office has no run.*found: +nothing"):
         groundwalk.open("Office", profile="tiny", data=tmp_path / "nothing")
