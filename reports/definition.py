@@ -13,7 +13,7 @@ class ReportSettings(Settings):
 
 STAGE = Stage(
     name="report",
-    version=25,
+    version=26,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import",),

@@ -214,7 +214,8 @@ def _problems(scene: SceneInputs, frames: pd.DataFrame) -> list[Problem]:
     checks = scene.align_checks[scene.align_checks["status"] != "passed"]
     for key, rows in checks.groupby(["status", "check", "reason", "advice"], sort=False):
         status, check, reason, advice = map(str, key)
-        problems.append(Problem(f"check {check} {status}", int(rows["frames"].max()), reason, advice))
+        of = "".join(f", {session}" for session in rows["session_id"].dropna().unique() if session)
+        problems.append(Problem(f"check {check} {status}{of}", int(rows["frames"].max()), reason, advice))
     for what, quality in (("no ground truth", QualityClass.NONE), ("class C", QualityClass.C)):
         of_class = frames[(frames["quality"] == quality) & (frames["reason"] != "")]
         reasons = pd.Series(grouped_reasons(list(of_class["reason"])), dtype=object)
