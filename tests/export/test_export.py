@@ -197,8 +197,8 @@ def test_colmap_reads_two_models_in_one_map(scene: DataRoot) -> None:
         found |= own
     assert truth["component"].value_counts().to_dict() == {0: 20, 1: 19}
     _assert_same(scene, found)
-    for images in ("link", "none"):
-        out, said = _exported(scene, "hloc", "--force", "--images", images)
+    for option in ("link", "none"):
+        out, said = _exported(scene, "hloc", "--force", "--images", option)
         note = json.loads((out / "export.json").read_text())
         assert (note["frames"], note["left_out"], note["excluded"]) == (20, 19, 1)
         assert "20 frames, 1 without" in said and "19 of further SfM models" in said
