@@ -22,7 +22,7 @@ Floats = NDArray[np.float32]
 
 _BYTE = 127.0
 _LARGEST_COMPONENT = 0.6
-_VERSION = 2
+_VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,10 @@ def read_map(path: Path) -> CompactMap:
             seen_bounds=a["seen_bounds"].astype(np.int64),
             mean=a["mean"].astype(np.float32),
             basis=a["basis"].astype(np.float32),
-            lenses=tuple(Lens(x["focal"], tuple(x["distortion"]), x["readout_s"]) for x in m["lenses"]),
+            lenses=tuple(
+                Lens(x["focal"], tuple(x["distortion"]), x["readout_s"], (x["centre"][0], x["centre"][1]))
+                for x in m["lenses"]
+            ),
             priors=Priors(**m["priors"]),
             calibration=Calibration(**m["calibration"]),
             max_features=int(m["max_features"]),

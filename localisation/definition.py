@@ -7,7 +7,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="localise",
-    version=8,
+    version=9,
     settings=LocaliseSettings,
     needs=("import", "sfm", "align"),
     run=Lazy("groundwalk.localisation.stage:run"),

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.shutter import readout_fraction, readout_lines, usual_first_row
+from groundwalk.geometry.shutter import readout_fraction, readout_lines, sensor_axes, usual_first_row
 
 # Queries whose focal length is within this factor of a lens's are taken with it.
 _SAME_LENS = 1.08
@@ -15,12 +15,14 @@ _SAME_LENS = 1.08
 
 @dataclass(frozen=True)
 class Lens:
-    """The lens of a device: focal length by the longer side of the image, k1, k2, p1, p2, ... as OpenCV has them, and
-    the readout time of an image, s."""
+    """The lens of a device: focal length by the longer side of the image, k1, k2, p1, p2, ... as OpenCV has them, the
+    readout time of an image, s, and how far its principal point is from the logged one along the sensor's rows and
+    columns, by the longer side, too."""
 
     focal: float
     distortion: tuple[float, ...]
     readout_s: float
+    centre: tuple[float, float]
 
 
 def with_lens(camera: Camera, lenses: tuple[Lens, ...]) -> tuple[Camera, float]:
@@ -31,7 +33,13 @@ def with_lens(camera: Camera, lenses: tuple[Lens, ...]) -> tuple[Camera, float]:
     if not near:
         return camera, 0.0
     lens = min(near, key=lambda lens: abs(np.log(focal / lens.focal)))
-    return replace(camera, distortion=lens.distortion), lens.readout_s
+    off_x, off_y = max(camera.width, camera.height) * np.array(lens.centre) @ camera_axes(camera)
+    return replace(camera, distortion=lens.distortion, cx=camera.cx + off_x, cy=camera.cy + off_y), lens.readout_s
+
+
+def camera_axes(camera: Camera) -> Array:
+    """(2, 2) along what the sensor's rows and columns run in a camera's image."""
+    return np.asarray(sensor_axes(_readout_line(camera)[None])[0])
 
 
 @dataclass(frozen=True)
@@ -51,9 +59,12 @@ class Views:
 
 def row_times(px_M2: Array, camera: Camera, readout_s: float) -> Array:
     """When pixels (M, 2) were exposed after the middle row, (M,), s."""
+    return readout_s * readout_fraction(_readout_line(camera), px_M2)
+
+
+def _readout_line(camera: Camera) -> Array:
     first_row = camera.first_row or usual_first_row(camera.width, camera.height)
-    (line,) = readout_lines([first_row], camera.width, camera.height)
-    return readout_s * readout_fraction(line, px_M2)
+    return readout_lines([first_row], camera.width, camera.height)[0]
 
 
 def rays_of(views: Views, view: int, px_M2: Array) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
-from groundwalk.localisation.frames import Lens, Views, rays_of
+from groundwalk.localisation.frames import Lens, Views, camera_axes, rays_of
 from groundwalk.localisation.localisers import SIFT, FeatureKind, StructureSettings
 from groundwalk.localisation.matching import covisible_pairs, mutual_matches, unit
 from groundwalk.localisation.tracks import Points, Rays, epipolar_error_px, tracks, triangulate
@@ -93,14 +93,18 @@ class Prepared:
         length."""
         views = self.training.views
         lenses: list[Lens] = []
-        for camera, readout_s in zip(views.cameras, views.readout_s.tolist(), strict=True):
+        for camera, logged, readout_s in zip(
+            views.cameras, self.training.logged, views.readout_s.tolist(), strict=True
+        ):
             focal = (camera.fx + camera.fy) / 2 / max(camera.width, camera.height)
             for lens in lenses:
                 same = abs(np.log(focal / lens.focal)) < _SAME_LENS
                 if same and lens.distortion == camera.distortion and lens.readout_s == readout_s:
                     break
             else:
-                lenses.append(Lens(focal, camera.distortion, readout_s))
+                off_px = camera_axes(camera) @ [camera.cx - logged.cx, camera.cy - logged.cy]
+                centre = (off_px / max(camera.width, camera.height)).tolist()
+                lenses.append(Lens(focal, camera.distortion, readout_s, (centre[0], centre[1])))
         return tuple(lenses)
 
 

@@ -7,7 +7,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="sfm",
-    version=60,
+    version=61,
     settings=SfmSettings,
     needs=("import",),
     run=Lazy("groundwalk.sfm.stage:run"),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from groundwalk.geometry.poses import Array, skew
+from groundwalk.geometry.shutter import sensor_axes
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, known_lens
 from groundwalk.sfm.database import Workspace
 from groundwalk.sfm.mapping.attempts import MIN_CONSISTENT, MIN_REGISTERED, Attempt
@@ -94,15 +95,18 @@ class HeldArtefact:
         if np.setdiff1d(log.lenses.lens[new], log.lenses.lens[old]).size:
             log = with_start_lenses(r, frames, vio, work, log)
         lenses, lens = list(log.lenses.priors), log.lenses.lens.copy()
-        adjusted = np.zeros((len(frames), _COEFFICIENTS + 1))
+        adjusted, off_px = np.zeros((len(frames), _COEFFICIENTS + 1)), np.zeros((len(frames), 2))
         for row, coefficients, readout_s in zip(old, self.images["distortion"], self.images["readout_s"], strict=True):
             adjusted[row, : len(coefficients)], adjusted[row, -1] = coefficients, readout_s
+        off_px[old] = self.images[["cx", "cy"]].to_numpy() - log.intrinsics[old, 2:]
+        off_px = np.einsum("nkx,nx->nk", sensor_axes(log.readout_line), off_px)
         for number in np.unique(lens[new]).tolist():
             of_lens = old[log.lenses.lens[old] == number]
             if len(of_lens):
                 values, count = np.unique(adjusted[of_lens], axis=0, return_counts=True)
                 commonest = values[count.argmax()]
-                known = known_lens(lenses[number], commonest[:-1], float(commonest[-1]))
+                centre_px = np.median(off_px[of_lens], axis=0)
+                known = known_lens(lenses[number], commonest[:-1], float(commonest[-1]), centre_px)
                 if self.images.loc[of_lens[0], "camera_origin"] == CameraOrigin.ESTIMATED:
                     known = replace(known, origin=CameraOrigin.ESTIMATED, stated_readout_s=None)
                 lenses[number] = known
@@ -110,7 +114,8 @@ class HeldArtefact:
             lenses[number] = replace(lenses[number], lens_id=f"{lenses[number].lens_id}, added: {added}")
         for values in np.unique(adjusted[old], axis=0):
             members = old[(adjusted[old] == values).all(axis=1)]
-            known = known_lens(log.lenses.priors[lens[members[0]]], values[:-1], float(values[-1]))
+            # Their intrinsics are those of the artefact.
+            known = known_lens(log.lenses.priors[lens[members[0]]], values[:-1], float(values[-1]), np.zeros(2))
             lens[members] = len(lenses)
             lenses.append(known)
         log.motion.angular[old] = self.images[[f"angular_{axis}" for axis in "xyz"]]

@@ -131,10 +131,11 @@ def report_cameras(
     for number, lens in enumerate(lenses.to_dict("records")):
         if number < _MAX_LENSES:
             readout = _with_sd(1000 * lens["readout_s"], 1000 * lens["readout_sd_s"], ".1f")
+            x, y = (_with_sd(lens[f"centre_{axis}"], lens[f"centre_{axis}_sd"], ".1f", "+") for axis in "xy")
             r.say(
                 f"lens of {lens['lens_id']}: "
                 + "".join(f"{name} {_with_sd(lens[name], lens[f'{name}_sd'], '.4f')}, " for name in ("k1", "k2", "k3"))
-                + f"readout {readout} ms ({lens['origin']})"
+                + f"readout {readout} ms ({lens['origin']}), principal point {x}, {y} px from the captured one"
             )
         elif number == _MAX_LENSES:
             r.say(f"{len(lenses) - number} more lenses: lenses.parquet")

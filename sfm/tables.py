@@ -8,7 +8,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.cameras.adjustment import LENS_UNKNOWNS, RADIAL, Adjusted, Cameras, Ints
+from groundwalk.sfm.cameras.adjustment import CENTRE, LENS_UNKNOWNS, RADIAL, READOUT, Adjusted, Cameras, Ints
 from groundwalk.sfm.cameras.lenses import distortion_lists
 from groundwalk.sfm.cameras.model_adjustment import EXACT_SD, CameraLog
 from groundwalk.sfm.database import keypoint_counts
@@ -48,7 +48,7 @@ def images_table(
     table["model_id"] = _model_ids(best.selected)[model.model]
     table = pd.concat([table, pose_frame("sfm_cam", model.sfm_T_cam)], axis=1)
     table[["fx", "fy"]] = cameras.focal
-    table[["cx", "cy"]] = cameras.intrinsics[:, 2:]
+    table[["cx", "cy"]] = cameras.centre
     table["distortion"] = distortion_lists(cameras.coefficients[cameras.lens])
     table["readout_s"] = cameras.readout_s[cameras.lens]
     for name, of_frame in (("angular", cameras.angular), ("velocity", cameras.velocity)):
@@ -113,7 +113,10 @@ def camera_tables(
             row = {"lens_id": lens.lens_id, "origin": origins[rows[cameras.lens == number][0]]}
             row |= dict(zip(("k1", "k2", "k3"), coefficients, strict=True))
             row |= dict(zip(("k1_sd", "k2_sd", "k3_sd"), lens_sd[number], strict=False))
-            row |= {"readout_s": readout_s, "readout_sd_s": np.hypot(lens_sd[number, 3], _RATE_SCALE_SD * readout_s)}
+            readout_sd_s = np.hypot(lens_sd[number, READOUT], _RATE_SCALE_SD * readout_s)
+            row |= {"readout_s": readout_s, "readout_sd_s": readout_sd_s}
+            row |= dict(zip(("centre_x", "centre_y"), cameras.centre_px[number], strict=True))
+            row |= dict(zip(("centre_x_sd", "centre_y_sd"), lens_sd[number, CENTRE], strict=True))
             row |= {"stated_k1": lens.stated[0], "stated_k2": lens.stated[1], "stated_readout_s": lens.stated_readout_s}
             row |= {
                 "stated_is_wrong": check.get("distortion_is_wrong", False),

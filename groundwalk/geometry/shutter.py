@@ -48,6 +48,12 @@ def readout_fraction(line: Array, xy_M2: Array) -> Array:
     return line[..., 0] * xy_M2[:, 0] + line[..., 1] * xy_M2[:, 1] + line[..., 2]
 
 
+def sensor_axes(readout_line_N3: Array) -> Array:
+    """(N, 2, 2) along what the sensor's rows and columns run in each image, which may have been turned."""
+    down = np.sign(readout_line_N3[:, :2])
+    return np.stack([np.column_stack([down[:, 1], -down[:, 0]]), down], axis=1)
+
+
 def rows_in_camera(angular_M3: Array, velocity_M3: Array, tau_M: Array) -> Array:
     """cam_T_row (M, 4, 4): the camera at a row's time, `tau_M` seconds after the middle row, in its axes at that.
 

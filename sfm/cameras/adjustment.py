@@ -6,10 +6,11 @@ height - 1/2 where the sensor's rows are the image's (`groundwalk.geometry.shutt
 velocity v in the axes of the camera, a point p there is seen along exp(-w tau) (p - v tau). The lens is OpenCV's k1,
 k2, k3 (`groundwalk.geometry.lens`), further coefficients stay as they are stated.
 
-Unknowns: poses and points; k1, k2, k3 and readout time of each lens; the logarithm of the factor of each session's
-focal lengths; and of each frame what its focal length deviates by from that and its angular velocity. All but poses and
-points have priors. Gauss-Newton with Levenberg's damping on Cauchy's loss, points eliminated (Triggs et al., "Bundle
-adjustment - a modern synthesis", 2000). Each point's residuals count by its own variance (`point_noise`).
+Unknowns: poses and points; k1, k2, k3, readout time and principal point of each lens; the logarithm of the factor of
+each session's focal lengths; and of each frame what its focal length deviates by from that and its angular velocity.
+All but poses and points have priors. Gauss-Newton with Levenberg's damping on Cauchy's loss, points eliminated (Triggs
+et al., "Bundle adjustment - a modern synthesis", 2000). Each point's residuals count by its own variance
+(`point_noise`).
 """
 
 from collections.abc import Callable
@@ -24,7 +25,7 @@ from groundwalk.geometry.lens import distort_with_slope, fold_radius, slope_by_n
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN, cauchy_weights
 from groundwalk.geometry.rows import summed
-from groundwalk.geometry.shutter import readout_fraction
+from groundwalk.geometry.shutter import readout_fraction, sensor_axes
 from groundwalk.sfm.cameras.normal_equations import (
     MAX_FACTORED,
     IterativeSolver,
@@ -40,7 +41,8 @@ Ints = NDArray[np.int64]
 
 _POSE, _FOCUS, _ANGULAR = slice(0, 6), 6, slice(7, 10)
 _LOCAL = 10
-LENS_UNKNOWNS, READOUT = 4, 3  # k1, k2, k3, readout of a lens; the last one's number
+# k1, k2, k3, readout and principal point of a lens; the numbers of the last two.
+LENS_UNKNOWNS, READOUT, CENTRE = 6, 3, slice(4, 6)
 RADIAL = [0, 1, 4]
 """k1, k2, k3 of OpenCV's coefficients."""
 _MIN_LOSS_PX = 0.05
@@ -64,7 +66,8 @@ class Cameras:
 
     `intrinsics` (N, 4) are fx, fy, cx, cy as logged, `readout_line` (N, 3) says when a pixel is exposed
     (`groundwalk.geometry.shutter`), `lens` and `session` (N,) indices, `t_s` (N,);
-    `coefficients` (L, 8) OpenCV's, `readout_s` (L,); `log_focal` (S,) and `focus` (N,) logarithms of factors to the
+    `coefficients` (L, 8) OpenCV's, `readout_s` (L,), `centre_px` (L, 2) by how much principal points are off the logged
+    ones along the sensor's rows and columns; `log_focal` (S,) and `focus` (N,) logarithms of factors to the
     focal lengths; `angular` (N, 3) rad/s and `velocity` (N, 3) sfm units/s in the camera's axes.
     """
 
@@ -75,10 +78,18 @@ class Cameras:
     t_s: Array
     coefficients: Array
     readout_s: Array
+    centre_px: Array
     log_focal: Array
     focus: Array
     angular: Array
     velocity: Array
+
+    @property
+    def centre(self) -> Array:
+        """(N, 2) principal points in pixels."""
+        return self.intrinsics[:, 2:] + np.einsum(
+            "nk,nkx->nx", self.centre_px[self.lens], sensor_axes(self.readout_line)
+        )
 
     @property
     def focal(self) -> Array:
@@ -88,16 +99,15 @@ class Cameras:
 
 @dataclass(frozen=True)
 class CameraPriors:
-    """Means of the unknowns of cameras, as `Cameras`; covariance (L, 4, 4) of k1, k2, k3 and readout in s; and one
-    sigma of log focal factors (S,), of a frame's focus by session (S,), of a frame's angular velocity (N, 3) in rad/s,
-    and of the lenses' principal points (L,) in px, which stay as they are logged."""
+    """Means of the unknowns of cameras, as `Cameras`; covariance (L, 6, 6) of k1, k2, k3, readout in s and principal
+    point in px; and one sigma of log focal factors (S,), of a frame's focus by session (S,) and of a frame's angular
+    velocity (N, 3) in rad/s."""
 
     mean: Cameras
     lens_covariance: Array
     log_focal_sd: Array
     focus_sd: Array
     angular_sd: Array
-    centre_sd_px: Array
 
 
 @dataclass(frozen=True)
@@ -117,7 +127,7 @@ class Bundle:
 
 @dataclass(frozen=True)
 class Linearization:
-    """Residuals (M, 2) px and their derivatives: by camera (M, 2, 15), that is by the 10 unknowns of the frame, the 4
+    """Residuals (M, 2) px and their derivatives: by camera (M, 2, 17), that is by the 10 unknowns of the frame, the 6
     of its lens and the 1 of its session; and by the point (M, 2, 3)."""
 
     residual: Array
@@ -192,7 +202,7 @@ def _forward(bundle: Bundle, cameras: Cameras, *, shutter: bool = True) -> _Forw
     q = turn.apply(p - cameras.velocity[i] * tau[:, None])
     n = q[:, :2] / q[:, 2:]
     d, slope = distort_with_slope(n, cameras.coefficients[cameras.lens[i]])
-    pixel = cameras.focal[i] * d + cameras.intrinsics[i, 2:]
+    pixel = cameras.focal[i] * d + cameras.centre[i]
     return _Forward(pixel, cam_R_sfm, offset, q, n, slope, row, tau, turn)
 
 
@@ -223,11 +233,12 @@ def _linearize(bundle: Bundle, cameras: Cameras, by_camera: Array, by_point: Arr
     by_frame, by_shared = by_camera[:, :, :_LOCAL], by_camera[:, :, _LOCAL:]
     by_frame[:, :, :3] = by_point @ skew(forward.offset)
     by_frame[:, :, 3:6] = -by_point
-    by_frame[:, :, _FOCUS] = pixel - cameras.intrinsics[i, 2:]
+    by_frame[:, :, _FOCUS] = pixel - cameras.centre[i]
     by_frame[:, :, _ANGULAR] = by_q @ (tau[:, None, None] * skew(q))
     by_shared[:, :, : len(RADIAL)] = focal[:, :, None] * slope_by_numerator(n, cameras.coefficients[cameras.lens[i]])
     moving = np.cross(q, cameras.angular[i]) - turn.apply(cameras.velocity[i])
     by_shared[:, :, READOUT] = np.einsum("mij,mj->mi", by_q, moving * forward.row[:, None])
+    by_shared[:, :, CENTRE] = np.swapaxes(sensor_axes(cameras.readout_line), 1, 2)[i]
     by_shared[:, :, LENS_UNKNOWNS] = by_frame[:, :, _FOCUS]
     by_camera[np.isin(i, bundle.held_frames)] = 0.0
     by_point[np.isin(bundle.point, bundle.held_points)] = 0.0
@@ -246,7 +257,7 @@ def _part(bundle: Bundle, own: slice) -> Bundle:
 
 
 def shared_columns(cameras: Cameras) -> Ints:
-    """(N, 5) which shared unknowns each frame has: k1, k2, k3, readout of its lens, log focal of its session."""
+    """(N, 7) which shared unknowns each frame has: those of its lens, log focal of its session."""
     lenses = len(cameras.readout_s)
     of_lens = LENS_UNKNOWNS * cameras.lens[:, None] + np.arange(LENS_UNKNOWNS)
     return np.concatenate([of_lens, LENS_UNKNOWNS * lenses + cameras.session[:, None]], axis=1)
@@ -256,7 +267,7 @@ def regular_system(
     bundle: Bundle, cameras: Cameras, linear: Linearization, weight_M: Array, information: csr_array
 ) -> System:
     """The system, without the points, of residuals weighted by `weight_M` (M,): over the 10 N unknowns of frames, then
-    lenses' k1, k2, k3 and readout, then sessions' log focal factors.
+    those of lenses, then sessions' log focal factors.
 
     The information of priors (px^2) and a stiffness against moving the whole model are added: its matrix can be
     inverted; its gradient is that of the residuals alone.
@@ -272,7 +283,7 @@ def regular_system(
     point_blocks[bundle.held_points] = np.eye(3)
     point_pull = summed(np.sum(by_point * residual[:, :, None], axis=1), bundle.point, points)
     lower_inverse = np.linalg.inv(np.linalg.cholesky(point_blocks))
-    # J^T J (N, 15, 15) and J^T r (N, 15) of each frame. With V = L L^T the points' part of the Schur complement,
+    # J^T J (N, 17, 17) and J^T r (N, 17) of each frame. With V = L L^T the points' part of the Schur complement,
     # W V^-1 W^T, is A A^T with A = W L^-T. Frame by frame, for memory.
     width, bounds = linear.by_camera.shape[2], np.searchsorted(bundle.frame, np.arange(frames + 1))
     blocks, pull = np.zeros((frames, width, width)), np.zeros((frames, width))
@@ -374,7 +385,7 @@ def camera_unknowns(cameras: Cameras) -> Array:
     """(10 N + G,) the unknowns of the cameras as a vector; 0 for poses."""
     of_frame = np.zeros((len(cameras.t_s), _LOCAL))
     of_frame[:, _FOCUS], of_frame[:, _ANGULAR] = cameras.focus, cameras.angular
-    of_lens = np.concatenate([cameras.coefficients[:, RADIAL], cameras.readout_s[:, None]], axis=1)
+    of_lens = np.concatenate([cameras.coefficients[:, RADIAL], cameras.readout_s[:, None], cameras.centre_px], axis=1)
     return np.concatenate([of_frame.ravel(), of_lens.ravel(), cameras.log_focal])
 
 
@@ -394,6 +405,7 @@ def with_step(bundle: Bundle, cameras: Cameras, step: Array, point_step: Array) 
         angular=cameras.angular + of_frame[:, _ANGULAR],
         coefficients=coefficients,
         readout_s=cameras.readout_s + of_lens[:, READOUT],
+        centre_px=cameras.centre_px + of_lens[:, CENTRE],
         log_focal=cameras.log_focal + step[_LOCAL * frames + LENS_UNKNOWNS * lenses :],
     )
     return replace(bundle, sfm_T_cam=sfm_T_cam, xyz=bundle.xyz + point_step), moved

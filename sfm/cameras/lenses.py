@@ -58,6 +58,9 @@ class LensPrior:
     """Images contradict the stated distortion, not beyond chance: it's held, and counts as uncertain."""
     start: Array | None = None
     """Coefficients (8,) that mapping starts from, where the stated ones are far off."""
+    centre_px: Array = field(default_factory=lambda: np.zeros(2))
+    is_known: bool = False
+    """A model of other frames has told it, with where its principal point is (`Cameras`)."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,11 @@ class SceneLenses:
     def readout_s(self) -> Array:
         """(L,)"""
         return np.array([prior.readout_s for prior in self.priors], float)
+
+    @property
+    def centre_px(self) -> Array:
+        """(L, 2)"""
+        return np.array([prior.centre_px for prior in self.priors], float).reshape(-1, 2)
 
 
 def lenses_of(frames: pd.DataFrame, device_of_session: dict[str, str]) -> tuple[Ints, list[str]]:

@@ -15,6 +15,7 @@ from scipy.linalg import LinAlgError
 from groundwalk.geometry.lens import k1_k2_of_k3
 from groundwalk.geometry.poses import Array, inverse
 from groundwalk.sfm.cameras.adjustment import (
+    LENS_UNKNOWNS,
     Adjusted,
     Bundle,
     CameraPriors,
@@ -53,15 +54,15 @@ _MIN_STEP_M = 0.02
 _LOG_FOCAL_SD = 0.01
 _FOCUS_SD, _PRIOR_FRAMES = 0.0003, 5
 _VARIANCE_STEPS, _MAX_SIGMAS = 100, 3.0
-# By how much of the image's longer side a principal point is off: one that a phone logs (0.02 to 0.25 % in chair and
-# charuco), and where there is no VIO and it mostly is the image's centre, from which those of phones are 0.4 and 1.4 %.
+# By how much of the image's longer side a principal point is off: one that is stated (0.02 to 0.25 % in chair and
+# charuco), and the image's centre where there is no VIO, from which those of phones are 0.4 and 1.4 %.
 _CENTRE_SD, _GUESSED_CENTRE_SD = 0.002, 0.015
-# Of k1, k2 and readout of a lens as another model of its frames has it.
-_SAME_LENS_SD = np.array([*STATED_SD, 0.002])
+# Of k1, k2 and readout of a lens as another model of its frames has it, and of its principal point.
+_SAME_LENS_SD, _SAME_CENTRE_SD = np.array([*STATED_SD, 0.002]), 0.0005
 # Of a stated lens, which is held where images don't deny it: as captures state them, and where images do deny it, if
 # not beyond chance.
-_STATED_COVARIANCE = np.diag([*STATED_SD**2, KNOWN_K3_SD**2, 0.0])
-_UNDECIDED_COVARIANCE = np.diag([*FAR_SD**2, K3_SD**2, 0.0])
+_STATED_COVARIANCE = np.diag([*STATED_SD**2, KNOWN_K3_SD**2, 0.0, 0.0, 0.0])
+_UNDECIDED_COVARIANCE = np.diag([*FAR_SD**2, K3_SD**2, 0.0, 0.0, 0.0])
 _OUTLIER_SIGMAS = 4.0
 # A point that two frames see tells one number of their poses, which have six each.
 _MIN_OBSERVATIONS, _MIN_FRAMES = 8, 2
@@ -202,7 +203,7 @@ def _adjust_chosen(
 
 
 def _doubt(lens: LensPrior) -> Array:
-    """(4, 4) how far a stated lens that is held may be off; 0 of others."""
+    """(6, 6) how far a stated lens that is held may be off; 0 of others."""
     if lens.is_undecided:
         return _UNDECIDED_COVARIANCE
     return _STATED_COVARIANCE * (lens.origin == CameraOrigin.STATED)
@@ -222,7 +223,8 @@ def _deregister_undetermined(model: pycolmap.Reconstruction) -> bool:
 
 def with_lenses_of(log: CameraLog, adjusted: Adjusted, rows: Ints) -> CameraLog:
     """The log with the lenses of an adjusted model, whose frames are `rows` (R,), as a prior for further models."""
-    of_cameras = zip(adjusted.cameras.coefficients, adjusted.cameras.readout_s.tolist(), strict=True)
+    cameras = adjusted.cameras
+    of_cameras = zip(cameras.coefficients, cameras.readout_s.tolist(), cameras.centre_px, strict=True)
     return log.with_priors(
         {
             index: known_lens(log.lenses.priors[index], *of_lens)
@@ -231,11 +233,13 @@ def with_lenses_of(log: CameraLog, adjusted: Adjusted, rows: Ints) -> CameraLog:
     )
 
 
-def known_lens(lens: LensPrior, coefficients: Array, readout_s: float) -> LensPrior:
-    """A lens with the coefficients (8,) and readout that a model of other frames of it has, as a prior."""
+def known_lens(lens: LensPrior, coefficients: Array, readout_s: float, centre_px: Array) -> LensPrior:
+    """A lens with the coefficients (8,), readout and principal point that a model of other frames of it has, as a
+    prior."""
     sd = np.minimum(np.sqrt(np.diag(lens.covariance)), _SAME_LENS_SD)
     covariance, k3_sd = np.diag(sd**2), min(lens.k3_sd, KNOWN_K3_SD)
-    return replace(lens, coefficients=coefficients, readout_s=readout_s, covariance=covariance, k3_sd=k3_sd, start=None)
+    found = replace(lens, coefficients=coefficients, readout_s=readout_s, centre_px=centre_px, is_known=True)
+    return replace(found, covariance=covariance, k3_sd=k3_sd, start=None)
 
 
 def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cameras:
@@ -250,6 +254,7 @@ def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cam
         log.t_s,
         log.lenses.coefficients[lens],
         log.lenses.readout_s[lens],
+        log.lenses.centre_px[lens],
         np.zeros(count),
         np.zeros(count),
         log.motion.angular.copy(),
@@ -258,6 +263,7 @@ def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cam
     for adjusted, rows in parts:
         part = adjusted.cameras
         every.coefficients[rows], every.readout_s[rows] = part.coefficients[part.lens], part.readout_s[part.lens]
+        every.centre_px[rows] = part.centre_px[part.lens]
         every.log_focal[rows], every.focus[rows] = part.log_focal[part.session], part.focus
         every.angular[rows], every.velocity[rows] = part.angular, part.velocity
     if log.held_velocity is not None:
@@ -328,6 +334,7 @@ def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSetting
         log.t_s[rows],
         log.lenses.coefficients[lenses],
         log.lenses.readout_s[lenses],
+        log.lenses.centre_px[lenses],
         np.zeros(len(sessions)),
         np.zeros(len(rows)),
         log.motion.angular[rows],
@@ -338,29 +345,32 @@ def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSetting
     radius = float(np.median(np.linalg.norm(corner, axis=1)))
     has_vio = np.bincount(lens, np.isfinite(log.vio_T_cam[rows, 0, 3])) > 0
     longer_px = np.array([2 * cameras.intrinsics[lens == number, 2:].max() for number in range(len(lenses))])
+    is_stated = has_vio | np.array([one.origin == CameraOrigin.STATED for one in prior])
+    centre_sd = np.where(is_stated, _CENTRE_SD, _GUESSED_CENTRE_SD)
+    centre_sd[[one.is_known for one in prior]] = _SAME_CENTRE_SD
     log_focal_sd = np.full(len(sessions), _LOG_FOCAL_SD)
     np.maximum.at(log_focal_sd, session, log.focal_sd[rows])
     is_fixed = settings.refine_cameras == "never"
     priors = CameraPriors(
         cameras,
-        np.array([_lens_covariance(one, radius) for one in prior]),
+        np.array([_lens_covariance(*of_lens, radius) for of_lens in zip(prior, centre_sd * longer_px, strict=True)]),
         np.full(len(sessions), EXACT_SD) if is_fixed else log_focal_sd,
         np.full(len(sessions), EXACT_SD if is_fixed else _FOCUS_SD),
         np.tile(log.motion.angular_sd[rows, None], 3),
-        np.where(has_vio, _CENTRE_SD, _GUESSED_CENTRE_SD) * longer_px,
     )
     if is_fixed:
-        priors = replace(priors, lens_covariance=np.tile(EXACT_SD**2 * np.eye(4), (len(lenses), 1, 1)))
+        priors = replace(priors, lens_covariance=np.tile(EXACT_SD**2 * np.eye(LENS_UNKNOWNS), (len(lenses), 1, 1)))
     return cameras, priors
 
 
-def _lens_covariance(lens: LensPrior, radius: float) -> Array:
-    """Prior covariance (4, 4) of k1, k2, k3 and readout of a lens whose images reach out to `radius` (focal lengths).
+def _lens_covariance(lens: LensPrior, centre_sd_px: float, radius: float) -> Array:
+    """Prior covariance (6, 6) of k1, k2, k3, readout and principal point of a lens whose images reach out to `radius`
+    (focal lengths).
 
     The priors of k1 and k2 are of lenses without k3. With one they are what comes nearest to that in the image.
     """
-    direction = np.array([*-k1_k2_of_k3(radius), 1.0, 0.0])
-    covariance = lens.k3_sd**2 * np.outer(direction, direction)
+    direction = np.array([*-k1_k2_of_k3(radius), 1.0, 0.0, 0.0, 0.0])
+    covariance = lens.k3_sd**2 * np.outer(direction, direction) + centre_sd_px**2 * np.diag([0, 0, 0, 0, 1, 1])
     others = np.ix_([0, 1, 3], [0, 1, 3])
     covariance[others] += lens.covariance
     return covariance
@@ -430,7 +440,7 @@ def _write_back(
 ) -> None:
     # The effect of the rolling shutter is removed from each observation.
     global_px = bundle.observed_px + project(bundle, cameras, shutter=False) - project(bundle, cameras)
-    focal = cameras.focal
+    focal, centre = cameras.focal, cameras.centre
     bounds = np.searchsorted(bundle.frame, np.arange(len(rows) + 1))
     for number, row in enumerate(rows.tolist()):
         image = model.image(image_id(row))
@@ -442,7 +452,7 @@ def _write_back(
             continue
         camera = model.camera(image.camera_id)
         params = np.array(camera.params)
-        params[:2] = focal[number]
+        params[:2], params[2:4] = focal[number], centre[number]
         coefficients = cameras.coefficients[cameras.lens[number]]
         if coefficients[len(params) - 4 :].any():
             camera.model, params = pycolmap.CameraModelId.FULL_OPENCV, np.concatenate([params[:4], np.zeros(8)])

@@ -143,7 +143,7 @@ def held_out_medians(check: pd.DataFrame, groups: pd.Series, count: int) -> pd.D
 
 def _rays_of(cameras: Cameras, sfm_T_cam: Array, frame_M: Ints, xy_M2: Array) -> tuple[Array, Array]:
     """Rays (M, 3) with z = 1 through pixels (M, 2), and the frames' cameras at their rows' time (M, 4, 4)."""
-    distorted = (xy_M2 - cameras.intrinsics[frame_M, 2:]) / cameras.focal[frame_M]
+    distorted = (xy_M2 - cameras.centre[frame_M]) / cameras.focal[frame_M]
     rays = np.ones((len(frame_M), 3))
     coefficients = cameras.coefficients[cameras.lens]
     lenses, of_frame = np.unique(coefficients, axis=0, return_inverse=True)

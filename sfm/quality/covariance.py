@@ -52,7 +52,7 @@ _SAMPLES, _AT_ONCE = 60, 30
 class Covariances:
     """Of an adjusted model's frames (N, 6, 6), in the order rotation (rad, 3), position (sfm units, 3): true rotation =
     exp(rotation) @ sfm_R_cam, true position = position of sfm_T_cam + position, both along the sfm axes; and of what
-    the frames share (G, G): k1, k2, k3 and readout of each lens, then each session's log focal factor; and the
+    the frames share (G, G): the unknowns of each lens, then each session's log focal factor; and the
     coherence of residuals in rows of a frame and in regions of the image, by which they have grown."""
 
     poses: Array
@@ -73,7 +73,6 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
     What the cameras' model leaves out is alike in the rows of a frame that are read out together, or in a region of the
     image. Where residuals are correlated more than independent ones would be (`coherence`), covariances grow by it, and
     those of poses by what even a right model leaves (`SHARED_ERRORS`).
-    What the frames share is also as uncertain as principal points make it (`_of_centres`).
 
     Where frames and points are held, what comes out is how certain the others are if these are right.
     Of large models poses' covariances are those of a sample of errors (`_sampled_covariances`).
@@ -97,7 +96,6 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
     fitted = np.sqrt(2 * track_length / np.where(is_held, 2 * track_length, np.maximum(2 * track_length - 3, 1)))
     fitted = fitted[bundle.point]
     force = _forces(linear, weight, fitted[:, None] * linear.residual, bundle.point, system.point_inverse)
-    of_centres = _of_centres(adjusted, linear, weight, system.point_inverse)
     by_rows, by_region = coherence(adjusted, linear.residual, keypoint_P)
     del linear  # for memory, as below
     by_keypoint = _rows_of_unknowns(force, adjusted, keypoint_P[bundle.point], keypoints)
@@ -121,8 +119,7 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
         return None
     # The part of the keypoints grows with what they have in common, that of the priors doesn't.
     by_keypoints = of_shared @ by_keypoint
-    by_centres = of_shared @ of_centres[free]
-    shared = max(by_rows, by_region) * by_keypoints @ by_keypoints.T + by_centres @ by_centres.T
+    shared = max(by_rows, by_region) * by_keypoints @ by_keypoints.T
     shared += variance**2 * of_shared @ (information @ of_shared.T)
     return Covariances(SHARED_ERRORS * by_rows * poses, shared, by_rows, by_region)
 
@@ -148,30 +145,6 @@ def _sampled_covariances(
     return of_shared.T, moved @ np.swapaxes(moved, 1, 2) / (_SAMPLES - 6 - 1)
 
 
-def _of_centres(adjusted: Adjusted, linear: Linearization, weight_M: Array, point_inverse: Array) -> Array:
-    """What principal points that are a standard deviation off pull each unknown by, (10 N + G, 2 L).
-
-    To first order all cameras turn with them, which align allows for. What is left is d (x^2, x y) for one that is off
-    by d along x, which a decentred lens looks like, too (Brown, "Decentering distortion of lenses", 1966). All images
-    have it alike, so that their scatter doesn't tell; where they are taken round one thing, it passes for another focal
-    length.
-    """
-    bundle, cameras = adjusted.bundle, adjusted.cameras
-    i = bundle.frame
-    at = (bundle.observed_px - cameras.intrinsics[i, 2:]) / cameras.focal[i]
-    pulls = []
-    # The sensor's axes, which lie otherwise in images that were turned.
-    down = np.sign(cameras.readout_line[i, :2])
-    right = np.column_stack([down[:, 1], -down[:, 0]])
-    for lens, sd_px in enumerate(adjusted.priors.centre_sd_px):
-        size_M = np.where(cameras.lens[i] == lens, sd_px, 0.0) / adjusted.noise_M
-        for axis in (right, down):
-            off = size_M * np.sum(at * axis, axis=1)
-            force = _forces(linear, weight_M, off[:, None] * at, bundle.point, point_inverse)
-            pulls.append(_rows_of_unknowns(force, adjusted, np.zeros_like(i), 1).toarray())
-    return np.hstack(pulls)
-
-
 def keypoints_of(bundle: Bundle) -> Ints:
     """The number of each point's keypoint, (P,): SIFT gives a keypoint a feature for each of its orientations, so
     points that any frame sees in the same place are of one."""
@@ -185,7 +158,7 @@ def keypoints_of(bundle: Bundle) -> Ints:
 
 
 def _forces(linear: Linearization, weight_M: Array, residual_M2: Array, point_M: Ints, point_inverse: Array) -> Array:
-    """What each observation (M, 15) pulls the unknowns of its camera by when its point has given way.
+    """What each observation (M, 17) pulls the unknowns of its camera by when its point has given way.
 
     Where an adjustment has converged the points pull nowhere; a few steps before that they do, and what that moves
     would count as theirs, the gauge included.
@@ -197,13 +170,13 @@ def _forces(linear: Linearization, weight_M: Array, residual_M2: Array, point_M:
     return np.einsum("mij,mi->mj", linear.by_camera, pull_M2 - np.einsum("mij,mj->mi", curved, moved_P3[point_M]))
 
 
-def _rows_of_unknowns(force_M15: Array, adjusted: Adjusted, keypoint_M: Ints, keypoints: int) -> csr_array:
+def _rows_of_unknowns(force_M17: Array, adjusted: Adjusted, keypoint_M: Ints, keypoints: int) -> csr_array:
     """What each keypoint pulls each unknown by, (10 N + G, keypoints)."""
     bundle, columns = adjusted.bundle, shared_columns(adjusted.cameras)
-    local = block_rows(force_M15[:, :10, None], bundle.frame, keypoint_M, len(bundle.sfm_T_cam), keypoints)
+    local = block_rows(force_M17[:, :10, None], bundle.frame, keypoint_M, len(bundle.sfm_T_cam), keypoints)
     shared = np.zeros((int(columns.max()) + 1, keypoints))
     for k in range(columns.shape[1]):
-        np.add.at(shared, (columns[bundle.frame, k], keypoint_M), force_M15[:, 10 + k])
+        np.add.at(shared, (columns[bundle.frame, k], keypoint_M), force_M17[:, 10 + k])
     return csr_array(vstack([local.tocsr(), csr_array(shared)]))
 
 
@@ -221,7 +194,7 @@ def coherence(adjusted: Adjusted, residual_M2: Array, keypoint_P: Ints) -> tuple
     residual, frame, observed_px = residual[first], bundle.frame[first], bundle.observed_px[first]
     line = cameras.readout_line[frame]
     band = np.clip((readout_fraction(line, observed_px) + 0.5) * _BANDS, 0, _BANDS - 1).astype(np.int64)
-    offset_px = observed_px - cameras.intrinsics[frame, 2:]
+    offset_px = observed_px - cameras.centre[frame]
     across = line[:, 1] * offset_px[:, 0] - line[:, 0] * offset_px[:, 1]
     column = np.clip((across + 1) / 2 * _COLUMNS, 0, _COLUMNS - 1)
     region = (cameras.lens[frame] * _BANDS + band) * _COLUMNS + column.astype(np.int64)

@@ -12,7 +12,9 @@ from groundwalk.localisation.frames import Views
 from groundwalk.localisation.prepared import Training
 
 LENS = (0.09, -0.12, 0.0, 0.0)
-LOGGED = Camera(640, 480, 480.0, 480.0, 321.0, 239.0)
+# The phone's principal point is off by 4 px along the sensor's rows and 3 px against its columns.
+LOGGED = Camera(640, 480, 480.0, 480.0, 317.0, 242.0)
+LOGGED_HIGH = Camera(480, 640, 480.0, 480.0, 236.0, 317.0, (), "right")
 SEEN_BY = Camera(640, 480, 480.0, 480.0, 321.0, 239.0, LENS, "top")
 HIGH = Camera(480, 640, 480.0, 480.0, 239.0, 321.0, LENS, "right")
 READOUT_S = 0.02

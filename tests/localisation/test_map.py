@@ -22,7 +22,7 @@ from groundwalk.localisation.query import MapLocaliser
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import UserError
 from tests.known import there
-from tests.localisation.scenes import HIGH, LOGGED, Place, features, place, training, walk
+from tests.localisation.scenes import HIGH, LOGGED, LOGGED_HIGH, Place, features, place, training, walk
 
 Built = tuple[Place, Prepared, CompactMap]
 EXTRACTION, SETTINGS = StructureSettings(), MapSettings(max_points=900)
@@ -63,7 +63,7 @@ def test_a_high_image_is_localised_in_a_map_of_wide_ones(built: Built, file: Pat
     localiser, views = MapLocaliser(read_map(file)), walk(6, seed=9, camera=HIGH)
     for view in range(6):
         seen, truth = features(built[0], views, view, seed=5), views.map_T_cam[view]
-        answer = localiser.localise_features(seen, replace(HIGH, distortion=()), gravity_of(truth))
+        answer = localiser.localise_features(seen, LOGGED_HIGH, gravity_of(truth))
         pose = there(answer.map_T_cam)
         assert position_error(pose, truth) < 0.012 and rotation_error_deg(pose, truth) < 0.08
 
@@ -147,7 +147,7 @@ def test_a_map_of_another_kind_or_version_is_refused(file: Path, tmp_path: Path)
     for arrays, message in (
         ({"xyz": np.zeros(3, np.uint8)}, "can't be read"),
         ({"metadata": np.frombuffer(b'{"version":1}', np.uint8)}, "another version"),
-        ({"metadata": np.frombuffer(b'{"version":2}', np.uint8)}, "lacks a section"),
+        ({"metadata": np.frombuffer(b'{"version":3}', np.uint8)}, "lacks a section"),
     ):
         np.savez(tmp_path / "other.npz", **arrays)
         with pytest.raises(UserError, match=message):

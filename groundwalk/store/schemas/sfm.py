@@ -13,7 +13,7 @@ images 5.0: One row a frame of import.frames: where its model has its camera (sf
     model_id (string?): the model that the pose is from: models.model_id
     sfm_cam (pose?): adjusted sfm_T_cam
     f{xy} (float64, px): focal length, {}, adjusted with the pose
-    c{xy} (float64, px): principal point, {}, as import has it
+    c{xy} (float64, px): principal point, {}, adjusted with the pose
     distortion (list<float64>): OpenCV's k1, k2, p1, p2, k3, ... that go with the pose
     readout_s (float64, s): rolling shutter: time from the first to the last row
     angular_{xyz} (float64, rad/s in cam): angular velocity at the middle row, {}, adjusted
@@ -30,7 +30,7 @@ images 5.0: One row a frame of import.frames: where its model has its camera (sf
         exp(rotation) @ sfm_R_cam and true position = sfm_t_cam + position; relative to the model as a whole; null where
         it can't be had
 
-lenses 5.0: The lenses and rolling shutters of each model, shared by the frames of a device, as adjusted with it.
+lenses 6.0: The lenses and rolling shutters of each model, shared by the frames of a device, as adjusted with it.
     model_id (string): the model: models.model_id
     lens_id (string): device, image size and focal length in image widths
     frames (int64): registered frames with this lens
@@ -42,6 +42,8 @@ lenses 5.0: The lenses and rolling shutters of each model, shared by the frames 
     k3_sd (float64?): standard deviation of k3
     readout_s (float64, s): rolling shutter: time from the first to the last row
     readout_sd_s (float64?, s): standard deviation of the readout time
+    centre_{xy} (float64, px): how far its principal point is from import's, {}, in images that aren't turned
+    centre_{xy}_sd (float64?, px): standard deviation of that
     stated_k1 (float64): k1 that the capture states; 0: none
     stated_k2 (float64): k2 that the capture states; 0: none
     origin (CameraOrigin): stated: as stated; estimated: by the model's images; prior: phones' usual one

@@ -15,6 +15,7 @@ from groundwalk.geometry.robust import cauchy_weights
 from groundwalk.geometry.shutter import readout_lines
 from groundwalk.sfm.cameras import adjustment, normal_equations
 from groundwalk.sfm.cameras.adjustment import (
+    CENTRE,
     Adjusted,
     Bundle,
     CameraPriors,
@@ -65,6 +66,7 @@ def walk_of(seed: int, first_row: str = "top", k3: float = 0.0, straight: bool =
         np.arange(_FRAMES, dtype=float),
         np.array([[*_LENS, 0, 0, k3, 0, 0, 0]], float),
         np.array([_READOUT_S]),
+        np.zeros((1, 2)),
         rng.normal(0, 0.004, 2),
         rng.normal(0, 0.001, _FRAMES),
         rng.normal(0, 0.4, (_FRAMES, 3)),
@@ -114,7 +116,7 @@ def _adjusted(
     angular_sd: float = _ANGULAR_SD,
     noise_px: float | Array = _NOISE_PX,
     straight: bool = False,
-    centre_sd_px: float = 0.0,
+    centre_sd_px: float = 1e-4,
     walk: tuple[Bundle, Cameras] | None = None,
 ) -> tuple[Adjusted, Bundle, Cameras]:
     """The walk adjusted from noisy observations and VIO's angular velocities; the lens as phones have it on average.
@@ -134,11 +136,10 @@ def _adjusted(
     )
     priors = CameraPriors(
         mean,
-        np.diag([0.05**2, 0.08**2, 0.1**2, 0.02**2])[None],
+        np.diag([0.05, 0.08, 0.1, 0.02, centre_sd_px, centre_sd_px])[None] ** 2,
         np.full(2, 0.01),
         np.full(2, focus_sd),
         np.full((_FRAMES, 3), angular_sd),
-        np.full(1, centre_sd_px),
     )
     pose = truth.sfm_T_cam.copy()
     pose[:, :3, 3] += rng.normal(0, 0.01, (_FRAMES, 3))
@@ -178,9 +179,9 @@ def test_a_row_is_seen_from_where_the_camera_is_at_its_time() -> None:
     assert np.allclose(still, project(bundle, cameras)[observation], atol=1e-9)
 
 
-@pytest.mark.parametrize("rational", [(0.0, 0.0, 0.0), (0.3, 0.1, -0.02)])
-def test_derivatives_are_those_of_finite_differences(rational: tuple[float, float, float]) -> None:
-    bundle, cameras = walk_of(1)
+@pytest.mark.parametrize(("rational", "first_row"), [((0.0, 0.0, 0.0), "right"), ((0.3, 0.1, -0.02), "top")])
+def test_derivatives_are_those_of_finite_differences(rational: tuple[float, float, float], first_row: str) -> None:
+    bundle, cameras = walk_of(1, first_row)
     coefficients = cameras.coefficients.copy()
     coefficients[:, 5:] = rational
     cameras = replace(cameras, coefficients=coefficients)
@@ -330,17 +331,19 @@ def test_turns_and_sideways_steps_tell_the_focal_length() -> None:
     assert sd[1] < sd[0] / 2
 
 
-def test_the_focal_lengths_sigma_round_an_object_allows_for_a_principal_point_that_is_off() -> None:
+def test_round_an_object_a_principal_point_that_is_off_is_found_and_spoils_no_focal_length() -> None:
     """All images have that alike, so that none of them differs by it."""
+    centre_px = np.array([3.0, -4.0])
     ratios: list[list[float]] = [[], []]
     for seed in range(2):
-        truth, cameras = _ring(seed, np.array([3.0, -4.0]))
-        adjusted, _, _ = _adjusted(seed, walk=(truth, cameras))
-        off = adjusted.cameras.log_focal - cameras.log_focal
-        for centre_sd_px, of_one in zip((0.0, 4.0), ratios, strict=True):
-            priors = replace(adjusted.priors, centre_sd_px=np.full(1, centre_sd_px))
-            estimate = there(covariances(replace(adjusted, priors=priors)))
-            of_one += (off / np.sqrt(np.diag(estimate.shared)[-2:])).tolist()
+        truth, cameras = _ring(seed, centre_px)
+        for centre_sd_px, of_one in zip((1e-4, 4.0), ratios, strict=True):
+            adjusted, _, _ = _adjusted(seed, walk=(truth, cameras), centre_sd_px=centre_sd_px)
+            off = adjusted.cameras.log_focal - cameras.log_focal
+            sd = np.sqrt(np.diag(there(covariances(adjusted)).shared))
+            of_one += (off / sd[-2:]).tolist()
+        assert (np.abs(adjusted.cameras.centre_px[0] - centre_px) < 3 * sd[CENTRE]).all()
+        assert sd[CENTRE][0] < 0.2 and sd[CENTRE][1] < 3  # all cameras look up by as much as it is off downwards
     without, with_them = np.sqrt(np.mean(np.square(ratios), axis=1))
     assert without > 2
     assert 0.3 < with_them < 1.6
@@ -370,7 +373,7 @@ def test_the_opposite_side_gives_a_readout_below_0_and_another_axis_is_worse() -
 def test_a_camera_without_shutter_and_lens_leaves_the_truth_wrong() -> None:
     adjusted, truth, cameras = _adjusted(0)
     pinhole = replace(cameras, coefficients=np.zeros((1, 8)), readout_s=np.zeros(1))
-    exact = replace(adjusted.priors, mean=pinhole, lens_covariance=1e-14 * np.eye(4)[None])
+    exact = replace(adjusted.priors, mean=pinhole, lens_covariance=1e-14 * np.eye(6)[None])
     assert _position_error_m(adjust(adjusted.bundle, pinhole, exact).bundle, truth) > 0.02
 
 
@@ -427,10 +430,10 @@ def test_residuals_are_correlated_where_something_is_not_modelled(left_out: str 
     mean, priors = adjusted.cameras, adjusted.priors
     if left_out == "lens":
         mean = replace(mean, coefficients=np.zeros((1, 8)))
-        priors = replace(priors, lens_covariance=np.diag([1e-14, 1e-14, 1e-14, 4e-4])[None])
+        priors = replace(priors, lens_covariance=np.diag([1e-14, 1e-14, 1e-14, 4e-4, 1e-8, 1e-8])[None])
     elif left_out == "shutter":
         mean = replace(mean, readout_s=np.zeros(1))
-        priors = replace(priors, lens_covariance=np.diag([2.5e-3, 6.4e-3, 1e-2, 1e-14])[None])
+        priors = replace(priors, lens_covariance=np.diag([2.5e-3, 6.4e-3, 1e-2, 1e-14, 1e-8, 1e-8])[None])
     if left_out:
         adjusted = adjust(adjusted.bundle, mean, replace(priors, mean=mean))
     residual = linearize(adjusted.bundle, adjusted.cameras).over(adjusted.noise_M).residual

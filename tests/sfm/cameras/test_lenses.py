@@ -76,7 +76,7 @@ def test_a_stated_lens_that_is_far_off_is_not_started_from(tmp_path: Path) -> No
 
 def test_a_lens_that_a_map_knows_is_started_from() -> None:
     stated = LensPrior("phone", 2, np.zeros(8), 0.0, np.eye(3), 0.1, CameraOrigin.STATED, np.zeros(2))
-    known = known_lens(started(stated, np.ones(8)), np.full(8, 0.1), 0.01)
+    known = known_lens(started(stated, np.ones(8)), np.full(8, 0.1), 0.01, np.array([3.0, -4.0]))
     assert known.start is None and np.all(known.coefficients == 0.1)
 
 
