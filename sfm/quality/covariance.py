@@ -16,8 +16,9 @@ from scipy.sparse.csgraph import connected_components
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.robust import cauchy_weights
 from groundwalk.geometry.rows import summed
-from groundwalk.geometry.shutter import readout_fraction
+from groundwalk.geometry.shutter import readout_fraction, sensor_axes
 from groundwalk.sfm.cameras.adjustment import (
+    CENTRE,
     Adjusted,
     Bundle,
     Ints,
@@ -51,7 +52,8 @@ _SAMPLES, _AT_ONCE = 60, 30
 @dataclass(frozen=True)
 class Covariances:
     """Of an adjusted model's frames (N, 6, 6), in the order rotation (rad, 3), position (sfm units, 3): true rotation =
-    exp(rotation) @ sfm_R_cam, true position = position of sfm_T_cam + position, both along the sfm axes; and of what
+    exp(rotation) @ sfm_R_cam, true position = position of sfm_T_cam + position, both along the sfm axes, the rotation
+    that of the pixels' rays, which a principal point that is off leaves as they are; and of what
     the frames share (G, G): the unknowns of each lens, then each session's log focal factor; and the
     coherence of residuals in rows of a frame and in regions of the image, by which they have grown."""
 
@@ -105,16 +107,16 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
     gauge, h = _gauge_of(bundle.sfm_T_cam[is_free, :3, 3])
     if len(bundle.held_points):
         gauge, h = np.zeros_like(gauge), np.zeros_like(h)
-    poses = np.zeros((frames, 6, 6))
+    poses, rays = np.zeros((frames, 6, 6)), _moves_of_rays(adjusted)[np.repeat(is_free, 6)][:, free]
     try:
         if is_large(free_frames):
             of_shared, poses[is_free] = _sampled_covariances(
-                adjusted, system, by_keypoint, variance * information, gauge, h
+                adjusted, system, by_keypoint, variance * information, rays, gauge, h
             )
         else:
             inverse = inverse_of(system.of_free.matrix())
             of_shared = inverse[10 * free_frames :]
-            poses[is_free] = _gauge_free_sandwich(inverse, by_keypoint, variance**2 * information, gauge, h)
+            poses[is_free] = _gauge_free_sandwich(inverse, by_keypoint, variance**2 * information, rays, gauge, h)
     except LinAlgError:
         return None
     # The part of the keypoints grows with what they have in common, that of the priors doesn't.
@@ -125,19 +127,25 @@ def covariances(adjusted: Adjusted) -> Covariances | None:
 
 
 def _sampled_covariances(
-    adjusted: Adjusted, system: System, by_keypoint: csr_array, information: csr_array, gauge: Array, h: Array
+    adjusted: Adjusted,
+    system: System,
+    by_keypoint: csr_array,
+    information: csr_array,
+    rays: csr_array,
+    gauge: Array,
+    h: Array,
 ) -> tuple[Array, Array]:
     """Rows of the free unknowns' inverse (G, F) of those that frames share, and the N free frames' covariances
     (N, 6, 6) as those of a sample of errors: keypoints and priors pull with random signs and sizes, and the poses give
     way."""
     rng, free, of_free = np.random.default_rng(0), system.free, system.of_free
     solver = IterativeSolver(of_free, of_free.diagonal(), 0.0)
-    index, parts = local_unknowns(len(gauge) // 6)[:, :6].ravel(), []
+    parts = []
     of_shared = solver.inverse_times(np.eye(len(free), len(free) - of_free.size, -of_free.size))
     for _ in track(range(_SAMPLES // _AT_ONCE), "sampling uncertainties"):
         drawn = np.array([prior_draw(adjusted.cameras, adjusted.priors, rng)[free] for _ in range(_AT_ONCE)])
         pulls = by_keypoint @ rng.standard_normal((by_keypoint.shape[1], _AT_ONCE)) + information @ drawn.T
-        parts.append(solver.inverse_times(pulls)[index])
+        parts.append(rays @ solver.inverse_times(pulls))
     moved = np.hstack(parts)
     moved = (moved - gauge @ (h @ moved)).reshape(-1, 6, _SAMPLES)
     # So few samples may have missed where errors are large: so much larger, squared errors over them are as expected
@@ -217,22 +225,38 @@ def _gauge_of(position_N3: Array) -> tuple[Array, Array]:
     return gauge, np.asarray(np.linalg.solve(positions.T @ gauge, positions.T), float)
 
 
+def _moves_of_rays(adjusted: Adjusted) -> csr_array:
+    """(6 N, 10 N + G) how each unknown turns and shifts the rays of a frame's pixels: its pose does, and its principal
+    point, which turns them and, to first order, no more."""
+    cameras, sfm_T_cam = adjusted.cameras, adjusted.bundle.sfm_T_cam
+    frames = len(sfm_T_cam)
+    # Of pixels to the right of the principal point that moves there, and below one that moves down.
+    by_px = np.stack([-sfm_T_cam[:, :3, 1], sfm_T_cam[:, :3, 0]], axis=2) / cameras.focal[:, None]
+    turn = by_px @ np.swapaxes(sensor_axes(cameras.readout_line), 1, 2)
+    pose = local_unknowns(frames)[:, :6].ravel()
+    row = np.broadcast_to((6 * np.arange(frames)[:, None] + np.arange(3))[:, :, None], turn.shape)
+    centre = (10 * frames + shared_columns(cameras)[:, CENTRE])[:, None, :]
+    rows = np.concatenate([np.arange(6 * frames), row.ravel()])
+    columns = np.concatenate([pose, np.broadcast_to(centre, turn.shape).ravel()])
+    values = np.concatenate([np.ones(6 * frames), turn.ravel()])
+    shape = (6 * frames, 10 * frames + int(shared_columns(cameras).max()) + 1)
+    return csr_array(coo_array((values, (rows, columns)), shape=shape))
+
+
 def _gauge_free_sandwich(
-    inverse: Array, by_keypoint: csr_array, information: csr_array, gauge: Array, h: Array
+    inverse: Array, by_keypoint: csr_array, information: csr_array, rays: csr_array, gauge: Array, h: Array
 ) -> Array:
-    """The poses' (N, 6, 6) diagonal blocks of inverse @ (by_keypoint @ by_keypoint^T + information) @ inverse where no
+    """The (N, 6, 6) diagonal blocks of X (by_keypoint @ by_keypoint^T + information) X^T, X = rays @ inverse, where no
     similarity of all positions is left.
 
     S-transformation: X -> P X P^T with P = 1 - gauge h, h = (positions^T gauge)^-1 positions^T, both 0 where something
     else holds the gauge. Only its blocks are needed, and the middle isn't formed, as it is hardly sparse.
     """
-    index, keypoint_rows = local_unknowns(len(gauge) // 6)[:, :6].ravel(), by_keypoint.T.tocsr()
-    of_all = np.zeros((len(h), len(inverse)))
-    of_all[:, index] = h
-    of_gauge, blocks = of_all @ inverse, [np.empty((0, 6, 6))]
-    for first in range(0, len(index), 6 * _CHUNK):
+    keypoint_rows = by_keypoint.T.tocsr()
+    of_gauge, blocks = (h @ rays) @ inverse, [np.empty((0, 6, 6))]
+    for first in range(0, len(gauge), 6 * _CHUNK):
         chunk = slice(first, first + 6 * _CHUNK)
-        rows = inverse[index[chunk]] - gauge[chunk] @ of_gauge
+        rows = rays[chunk] @ inverse - gauge[chunk] @ of_gauge
         by_keypoints = np.ascontiguousarray((keypoint_rows @ rows.T).T)
         blocks.append(_blocks(by_keypoints, by_keypoints) + _blocks(rows @ information, rows))
     return np.concatenate(blocks)

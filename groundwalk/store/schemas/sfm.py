@@ -27,8 +27,9 @@ images 5.0: One row a frame of import.frames: where its model has its camera (sf
     held_out_px (float64?, px): median Sampson distance of held-out matches from the final poses
     fitted_px (float64?, px): median Sampson distance of the matches that were adjusted to
     covariance (list<float64>?, rad, sfm units in sfm): 6x6, row-major, of (rotation, position) with true rotation =
-        exp(rotation) @ sfm_R_cam and true position = sfm_t_cam + position; relative to the model as a whole; null where
-        it can't be had
+        exp(rotation) @ sfm_R_cam and true position = sfm_t_cam + position; relative to the model as a whole; the
+        rotation is that of the pixels' rays: a principal point that is off (lenses) turns cameras, but not these; null
+        where it can't be had
 
 lenses 6.0: The lenses and rolling shutters of each model, shared by the frames of a device, as adjusted with it.
     model_id (string): the model: models.model_id

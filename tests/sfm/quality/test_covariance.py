@@ -91,6 +91,14 @@ def test_residuals_that_hang_together_widen_what_images_tell_and_no_prior() -> N
     assert np.allclose(np.sqrt(np.diag(found.shared)), _EXACT, rtol=0.05)
 
 
+def test_a_principal_point_that_is_hardly_known_turns_cameras_but_not_their_rays() -> None:
+    bundle = _noisy(7)
+    known, unknown = (there(_covariances(bundle, centre_sd_px=sd, focal_sd=0.1)) for sd in (_EXACT, 150.0))
+    assert np.sqrt(unknown.shared[CENTRE, CENTRE]).max() > 10
+    sd, expected = (np.sqrt(np.diagonal(of.poses, axis1=1, axis2=2)) for of in (unknown, known))
+    assert (np.abs(sd / expected - 1) < 0.1).all()
+
+
 def test_a_principal_point_that_is_off_is_off_to_the_same_side_of_the_sensor_in_turned_images() -> None:
     upright = _noisy(7)
     # Every second image a quarter turn clockwise: what was right is down, what was down is left.
