@@ -41,7 +41,7 @@ _CONTEXT: dict[str, Any] = {
     "sc": "https://schema.org/",
 }
 _TYPES = {"image": "sc:ImageObject", "t_ns": "sc:Integer", "width": "sc:Integer", "height": "sc:Integer"}
-_TEXT = ("frame_id", "session_id", "quality", "reason")
+_TEXT = ("frame_id", "session_id", "clock", "quality", "reason")
 _LISTS = ("distortion", "position", "quaternion", "covariance")
 
 

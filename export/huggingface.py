@@ -27,6 +27,7 @@ COLUMNS = {
     "frame_id": "session and number of the frame",
     "session_id": "capture session",
     "t_ns": "capture time on the session's clock, nanoseconds",
+    "clock": "what t_ns counts from; name_order: images have no times, and it is their order, a second apart",
     "width": "image width, pixels",
     "height": "image height, pixels",
     "fx": "focal length, x, pixels",

@@ -55,6 +55,7 @@ class _Running:
     pipe: Connection
     done: int = 0
     note: str = ""
+    part: str = ""
     failed: bool = False
     result: list[Any] = field(default_factory=list)
 
@@ -101,7 +102,8 @@ def in_children(text: str, log: Path, remedy: str, tasks: list[Task]) -> list[An
                     errors += _errors_of_others(open_ones, text, log, remedy)
                     raise min(errors, key=lambda e: (not isinstance(e, ProcessDied), not isinstance(e, UserError)))
                 notes = " · ".join(r.note for r in running if r.note)
-                reporter.update(sum(r.done for r in running), f"{text}: {notes}" if notes else None)
+                part = " · ".join(r.part for r in running if r.part)
+                reporter.update(sum(r.done for r in running), f"{text}: {notes}" if notes else None, part)
         return [one.result[0] for one in running]
     finally:
         for one in running:
@@ -150,9 +152,9 @@ def _receive(one: _Running, text: str, log: Path, remedy: str) -> Exception | No
         one.failed = True
         return cast(Exception, value)
     if kind == "progress":
-        one.done, one.note = value
-    elif kind == "note":
-        one.note = value
+        (one.done, one.note), one.part = value, ""
+    elif kind == "part":
+        one.part = value
     else:
         one.result.append(value)
     return None
@@ -175,7 +177,7 @@ def _work(pipe: Connection, log: Path, function: Callable[..., Any], arguments: 
     def report(done: int, note: str = "") -> None:
         pipe.send(("progress", (done, note)))
 
-    tell(lambda line: pipe.send(("note", line)))
+    tell(lambda line: pipe.send(("part", line)))
     try:
         # Native libraries write to the process's streams, beneath Python's.
         with log.open("ab") as file:

@@ -64,28 +64,29 @@ class Reporter:
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def update(self, done: int, text: str | None = None) -> None:
-        """Set the number of items that are done; `text` replaces the description."""
+    def update(self, done: int, text: str | None = None, part: str = "") -> None:
+        """Set the number of items that are done; `text` replaces the description. `part` is a line of progress of what
+        goes on meanwhile, which tells the time left."""
         self.done = done
         self.text = printable(text or self.text)
         if not self._bar.disable:
-            self._bar.update(self._task, completed=done, description=self.text)
+            self._bar.update(self._task, completed=done, description=f"{self.text}: {part}" if part else self.text)
             return
         now = time.monotonic()
         if now - self._last_line >= _LOG_EVERY_S:
             self._last_line = now
-            _tell(f"{self.text}: {self._summary(now)}")
+            _tell(f"{self.text}: {part}: {self._count()}" if part else f"{self.text}: {self._summary(now)}")
 
-    def _summary(self, now: float) -> str:
+    def _count(self) -> str:
         if not self.total:
             return f"{self.done} done"
-        if not self.done:
-            return f"0/{self.total}"
-        done = f"{self.done}/{self.total} ({100 * self.done / self.total:.0f} %)"
-        if self.done < _TELLING * self.total or self.done == self.total:
-            return done
+        return f"{self.done}/{self.total}" + f" ({100 * self.done / self.total:.0f} %)" * (self.done > 0)
+
+    def _summary(self, now: float) -> str:
+        if not self.total or self.done < max(1, _TELLING * self.total) or self.done == self.total:
+            return self._count()
         left = (now - self._start) / self.done * (self.total - self.done)
-        return f"{done}, {format_seconds(left)} left"
+        return f"{self._count()}, {format_seconds(left)} left"
 
 
 def track(items: Iterable[T], text: str, total: int | None = None) -> Iterator[T]:
