@@ -147,6 +147,9 @@ bench-real: $(installed) #! Real captures beside stock COLMAP (docs/results); ca
 bench-images: $(installed) #! Photos and video alone, of real captures, against the phone's poses (docs/results)
 	@$(py) -m benchmarks.images_alone
 
+bench-measured: $(installed) #! Photos against cameras measured by laser (docs/results); scenes=<folder of a public data set>
+	@$(py) -m benchmarks.measured_cameras --scenes "$(scenes)"
+
 bench-cameras: $(installed) #! Simulated phones whose lens, shutter and focus are unknown (docs/results); hours
 	@$(py) -m benchmarks.phone_cameras
 
@@ -182,4 +185,4 @@ help-dev: #! This text
 	@grep -hE '^[a-z-]+:.*#! ' $(MAKEFILE_LIST) | sed 's/:.*#! /\t/' | expand -t 22 | sed 's/^/  /'
 
 .NOTPARALLEL:
-.PHONY: all judge $(stages) simulate install paper plan public view clean check lint types test test-slow test-faults audit bench-localise bench-phone bench-regressors bench-recovery bench-scale bench-campaign bench-steps bench-gates bench-real bench-images bench-cameras bench-blurring docs docs-site pictures test-page lock help help-dev
+.PHONY: all judge $(stages) simulate install paper plan public view clean check lint types test test-slow test-faults audit bench-localise bench-phone bench-regressors bench-recovery bench-scale bench-campaign bench-steps bench-gates bench-real bench-images bench-measured bench-cameras bench-blurring docs docs-site pictures test-page lock help help-dev
