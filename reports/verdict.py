@@ -214,7 +214,7 @@ def _problems(scene: SceneInputs, frames: pd.DataFrame) -> list[Problem]:
     checks = scene.align_checks[scene.align_checks["status"] != "passed"]
     for key, rows in checks.groupby(["status", "check", "reason", "advice"], sort=False):
         status, check, reason, advice = map(str, key)
-        of = "".join(f", {session}" for session in rows["session_id"].dropna().unique() if session)
+        of = "".join(f", {session}" for session in rows["session_id"].unique() if session)
         problems.append(Problem(f"check {check} {status}{of}", int(rows["frames"].max()), reason, advice))
     for what, quality in (("no ground truth", QualityClass.NONE), ("class C", QualityClass.C)):
         of_class = frames[(frames["quality"] == quality) & (frames["reason"] != "")]

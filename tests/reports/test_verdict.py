@@ -88,7 +88,7 @@ def test_uncertain_scale_or_too_few_sure_frames_leave_it_undecided(make_run: Mak
     assert judged(data, "Yard")[1]["verdict"] == "undecided"
     checks = table_of(data, "Lane", "align", "checks")
     scale = checks.iloc[[-1]].assign(check="map_scale", reason="scale: 2.8 % (limit 2 %)", advice="a longer walk")
-    scale["session_id"], of_walk = None, scale.assign(check="session_scale", session_id="walk_0")
+    scale["session_id"], of_walk = "", scale.assign(check="session_scale", session_id="walk_0")
     rewrite(data, "Lane", "align", "checks", pd.concat([checks, scale, of_walk]))
     _, verdict = judged(data, "Lane")
     assert verdict["verdict"] == "undecided" and "scale: 2.8 % (limit 2 %)" in verdict["why"]
