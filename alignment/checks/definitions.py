@@ -124,7 +124,7 @@ DEFINITIONS = {
     CheckName.SESSION_DEPTH_SCALE: CheckDefinition(
         "the depth sensor's depth against the map's",
         remedy="measure a length in the scene with a ruler, to see whether map or sensor is wrong",
-        evidence="a longer walk, or more frames with depth, nearer to the surfaces in view",
+        evidence="more frames with depth, nearer to the surfaces in view, or a longer walk",
     ),
     CheckName.SESSION_DEPTH_BY_DISTANCE: CheckDefinition(
         "the depth sensor's depth against the map's, between near and far points",
