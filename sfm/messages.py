@@ -135,7 +135,7 @@ def report_cameras(
             r.say(
                 f"lens of {lens['lens_id']}: "
                 + "".join(f"{name} {_with_sd(lens[name], lens[f'{name}_sd'], '.4f')}, " for name in ("k1", "k2", "k3"))
-                + f"readout {readout} ms ({lens['origin']}), principal point {x}, {y} px from the captured one"
+                + f"readout {readout} ms ({lens['origin']}), principal point {x}, {y} px from where import has it"
             )
         elif number == _MAX_LENSES:
             r.say(f"{len(lenses) - number} more lenses: lenses.parquet")

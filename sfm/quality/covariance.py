@@ -53,9 +53,9 @@ _SAMPLES, _AT_ONCE = 60, 30
 class Covariances:
     """Of an adjusted model's frames (N, 6, 6), in the order rotation (rad, 3), position (sfm units, 3): true rotation =
     exp(rotation) @ sfm_R_cam, true position = position of sfm_T_cam + position, both along the sfm axes, the rotation
-    that of the pixels' rays, which a principal point that is off leaves as they are; and of what
-    the frames share (G, G): the unknowns of each lens, then each session's log focal factor; and the
-    coherence of residuals in rows of a frame and in regions of the image, by which they have grown."""
+    that of the pixels' rays, which a principal point that is off leaves as they are; and of what the frames share
+    (G, G): the unknowns of each lens, then each session's log focal factor; and the coherence of residuals in rows of a
+    frame and in regions of the image, by which they have grown."""
 
     poses: Array
     shared: Array
@@ -229,18 +229,17 @@ def _moves_of_rays(adjusted: Adjusted) -> csr_array:
     """(6 N, 10 N + G) how each unknown turns and shifts the rays of a frame's pixels: its pose does, and its principal
     point, which turns them and, to first order, no more."""
     cameras, sfm_T_cam = adjusted.cameras, adjusted.bundle.sfm_T_cam
-    frames = len(sfm_T_cam)
+    frames, columns = len(sfm_T_cam), shared_columns(cameras)
     # Of pixels to the right of the principal point that moves there, and below one that moves down.
     by_px = np.stack([-sfm_T_cam[:, :3, 1], sfm_T_cam[:, :3, 0]], axis=2) / cameras.focal[:, None]
     turn = by_px @ np.swapaxes(sensor_axes(cameras.readout_line), 1, 2)
-    pose = local_unknowns(frames)[:, :6].ravel()
     row = np.broadcast_to((6 * np.arange(frames)[:, None] + np.arange(3))[:, :, None], turn.shape)
-    centre = (10 * frames + shared_columns(cameras)[:, CENTRE])[:, None, :]
+    centre = np.broadcast_to((10 * frames + columns[:, CENTRE])[:, None, :], turn.shape)
     rows = np.concatenate([np.arange(6 * frames), row.ravel()])
-    columns = np.concatenate([pose, np.broadcast_to(centre, turn.shape).ravel()])
+    unknowns = np.concatenate([local_unknowns(frames)[:, :6].ravel(), centre.ravel()])
     values = np.concatenate([np.ones(6 * frames), turn.ravel()])
-    shape = (6 * frames, 10 * frames + int(shared_columns(cameras).max()) + 1)
-    return csr_array(coo_array((values, (rows, columns)), shape=shape))
+    shape = (6 * frames, 10 * frames + int(columns.max()) + 1)
+    return csr_array(coo_array((values, (rows, unknowns)), shape=shape))
 
 
 def _gauge_free_sandwich(
