@@ -24,14 +24,14 @@ from groundwalk.sfm.database import (
     is_sound,
     keypoint_counts,
 )
-from groundwalk.sfm.mapping.attempts import more_features
+from groundwalk.sfm.mapping.attempts import settings_of_size
 from groundwalk.sfm.pairs.candidates import unique_pairs
 from groundwalk.sfm.pairs.odometry import Odometry, odometry
 from groundwalk.sfm.pairs.selection import pairs_within_sessions
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.child import Task
-from groundwalk.store.choices import UNTRACKED, AttemptName
+from groundwalk.store.choices import UNTRACKED
 from groundwalk.store.files import write_json, written_aside
 from groundwalk.store.hints import run_command
 from groundwalk.store.manifests import BLURRED, FEATURES
@@ -170,9 +170,10 @@ def with_start_lenses(
         return cameras
     path = work.scratch / "start_lenses.json"
     if not path.is_file():
-        database = extracted_features(r, with_lenses(frames, cameras.lenses), work, r.settings)
+        settings = first_settings(r, frames)
+        database = extracted_features(r, with_lenses(frames, cameras.lenses), work, settings)
         with r.step("lenses"):
-            pairs = np.concatenate([pairs for _, pairs in pairs_within_sessions(r.settings, frames, vio)])
+            pairs = np.concatenate([pairs for _, pairs in pairs_within_sessions(settings, frames, vio)])
             arguments = (database, cameras.lenses, unique_pairs(pairs), r.seed)
             write_json(path, work.in_child("trying lenses", Task(start_lenses, arguments)))
     starts = [np.array(start) for start in json.loads(path.read_text())]
@@ -198,8 +199,14 @@ def kept_settings(r: StageRun[SfmSettings]) -> SfmSettings:
     """The settings of the features that the run before this one has kept."""
     assert r.before is not None
     attempts = read_table(r.before / "attempts.parquet", schema("sfm", "attempts"))
-    had_more = AttemptName.MORE_FEATURES in set(attempts.loc[attempts["selected"], "attempt"])
-    return r.settings.model_copy(update=more_features(r.settings)) if had_more else r.settings
+    selected = attempts[attempts["selected"]].iloc[-1]
+    taken = {name: int(selected[name]) for name in ("max_features", "max_image_size")}
+    return r.settings.model_copy(update=taken)
+
+
+def first_settings(r: StageRun[SfmSettings], frames: pd.DataFrame) -> SfmSettings:
+    """Of the first attempt: of frames that are added those of what is there already."""
+    return kept_settings(r) if r.before is not None and r.holds else settings_of_size(r.settings, len(frames))
 
 
 def kept_features(r: StageRun[SfmSettings], settings: SfmSettings) -> Path | None:

@@ -18,6 +18,9 @@ class SfmSettings(Settings):
 
     max_image_size: int = Field(1120, ge=64, description="longest side of images for features, px; larger ones shrink")
     max_features: int = Field(2048, gt=0, description="features per image")
+    few_frames: int = Field(
+        40, ge=0, description="scenes of up to so many frames get 3 times the features, from images 1.5 times as large"
+    )
     sequence_pairs: int = Field(
         5, ge=1, description="next frames of its recording that a frame is matched to, besides those 8, 16 and 32 later"
     )

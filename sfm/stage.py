@@ -123,10 +123,11 @@ def run(r: StageRun[SfmSettings]) -> None:
             input_fault=fault,
         )
 
+    settings = scene_input.first_settings(r, frames)
     if held is None:
-        attempts, best = run_attempts(r.settings, attempt, r.say)
+        attempts, best = run_attempts(settings, attempt, r.say)
     else:
-        attempts = [best := attempt(0, AttemptName.ADDED, scene_input.kept_settings(r))]
+        attempts = [best := attempt(0, AttemptName.ADDED, settings)]
         refuse_misfit(best, is_new, frames)
     messages.report_attempts(r, attempts, best, len(frames))
     assert best.model is not None  # otherwise that was an error

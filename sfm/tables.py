@@ -149,6 +149,8 @@ def attempts_table(attempts: Sequence[Attempt], best: Attempt) -> pd.DataFrame:
             {
                 "attempt": attempt.name,
                 "mapper": attempt.settings.mapper,
+                "max_features": attempt.settings.max_features,
+                "max_image_size": attempt.settings.max_image_size,
                 "pairs": len(attempt.matched),
                 "verified": int(are_verified(attempt.matched).sum()),
                 "models": len(attempt.selected),

@@ -112,6 +112,14 @@ def more_features(settings: SfmSettings) -> dict[str, Any]:
     return {"max_features": 2 * settings.max_features, "max_image_size": 2 * settings.max_image_size}
 
 
+def settings_of_size(settings: SfmSettings, frames: int) -> SfmSettings:
+    """What the first attempt at so many frames takes: each of a few is seen by few others, and needs more features."""
+    if frames > settings.few_frames:
+        return settings
+    more = {"max_features": 3 * settings.max_features, "max_image_size": settings.max_image_size * 3 // 2}
+    return settings.model_copy(update=more)
+
+
 def run_attempts(
     settings: SfmSettings, attempt: Callable[[int, AttemptName, SfmSettings], Attempt], report: Callable[[str], None]
 ) -> tuple[list[Attempt], Attempt]:

@@ -79,9 +79,11 @@ models 3.0: Every model of the selected attempt, in the order in which mapping b
     held_out_px (float64?, px): median Sampson distance of held-out matches from the final poses
     fitted_px (float64?, px): median Sampson distance of the matches that were adjusted to
 
-attempts 2.0: The attempts at models of enough frames whose motion is consistent with VIO, in order.
+attempts 2.1: The attempts at models of enough frames whose motion is consistent with VIO, in order.
     attempt (AttemptName): what it changes
     mapper (string): the mapper's id
+    max_features (int64): features per image
+    max_image_size (int64, px): longest side of images for features
     pairs (int64): pairs that were matched
     verified (int64): pairs with enough inliers and a relative pose consistent with VIO
     models (int64): selected models

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.sfm.mapping.attempts import Attempt, run_attempts
+from groundwalk.sfm.mapping.attempts import Attempt, run_attempts, settings_of_size
 from groundwalk.sfm.model import BuiltModel
 from groundwalk.sfm.pairs import verification
 from groundwalk.sfm.pairs.matched import matched_pairs
@@ -103,6 +103,13 @@ def test_each_attempt_keeps_what_the_ones_before_changed() -> None:
     assert before.max_features == more_pairs.max_features < more_features.max_features
     _, stricter, *_ = (attempt.settings for attempt in _run([(90, 20)])[0])
     assert stricter.vio_max_distance_m == before.vio_max_distance_m / 2
+
+
+def test_few_frames_get_more_features() -> None:
+    usual = SfmSettings(max_features=1000, max_image_size=1120, few_frames=40)
+    few = settings_of_size(usual, 40)
+    assert (few.max_features, few.max_image_size) == (3000, 1680)
+    assert settings_of_size(usual, 41) == usual
 
 
 def test_nothing_more_is_tried_where_the_input_is_at_fault_or_the_setting_says_so() -> None:
