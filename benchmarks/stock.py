@@ -18,6 +18,7 @@ import typer
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import Ints, image_id, image_names
 from groundwalk.sfm.model import load_models
+from groundwalk.sfm.mapping.attempts import settings_of_size
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
@@ -132,8 +133,9 @@ def main(
     camera_model: Annotated[CameraModel, typer.Option(help="Camera model of all images.")] = CameraModel.OPENCV,
 ) -> None:
     """Map an imported scene with stock COLMAP: one camera a session, started at the logged intrinsics."""
-    sfm_settings, root = SfmSettings.model_validate_json(settings), DataRoot(data)
+    root = DataRoot(data)
     frames = read_table(root.run(profile, scene, "import") / "frames.parquet", schema("import", "frames"))
+    sfm_settings = settings_of_size(SfmSettings.model_validate_json(settings), len(frames))
     shutil.rmtree(out, ignore_errors=True)
     images, database = out / "images", out / "database.db"
     names = image_names(frames)
