@@ -17,8 +17,8 @@ import typer
 
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import Ints, image_id, image_names
-from groundwalk.sfm.model import load_models
 from groundwalk.sfm.mapping.attempts import settings_of_size
+from groundwalk.sfm.model import load_models
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
