@@ -112,8 +112,8 @@ def main(
         "Written by `python -m benchmarks.measured_cameras`, not to be edited. Real photos without EXIF, whose cameras "
         "were measured by laser (Strecha et al., CVPR 2008): poses, focal length, principal point and lens are found "
         f"from the images, profile {PROFILE}; positions after a similarity fit to the measured ones. COLMAP: its "
-        "incremental mapper on as many features, with an OPENCV camera that starts at the same focal length. Bounds are "
-        "those of table `sfm.images`; page and verdict of photos alone state none."
+        "incremental mapper on as many features, with an OPENCV camera that starts at the same focal length. "
+        "Bounds are those of table `sfm.images`; page and verdict of photos alone state none."
     )
     table = markdown_table([_HEADING, *rows])
     write_page(out, "measured-cameras", ["# Photos against measured cameras", text, circumstances(), table])
