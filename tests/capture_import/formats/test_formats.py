@@ -293,10 +293,12 @@ def test_kitti_poses_beside_the_sequences_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(poses_of(raw.frames), walk.vio_T_cam, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["stray_scanner", "scan_capture"])
-def test_video_frames_are_joined_to_their_own_poses(tmp_path: Path, place: Path, name: str) -> None:
+@pytest.mark.parametrize(("name", "hidden"), [("stray_scanner", 0), ("stray_scanner", 1), ("scan_capture", 0)])
+def test_video_frames_are_joined_to_their_own_poses(tmp_path: Path, place: Path, name: str, hidden: int) -> None:
     walk = make_walk(24)
     WRITERS[name].write(place / "walk", walk)
+    if hidden:  # as the app writes it
+        walk.write_video(place / "walk" / "rgb.mp4", walk.all, hidden)
     made = imported(tmp_path)
     for row in rows(made["frames"]):
         index = int(np.argmin(np.abs(walk.t_ns - row.t_ns)))
@@ -328,8 +330,8 @@ def test_older_stray_scanner_has_one_camera_and_a_video_that_starts_elsewhere_is
     (session,) = sessions_in(tmp_path / "place")
     assert {image.camera.fx for image in session.images} == {walk.camera[-1, 0]}
     assert "last frame" in session.recording.notes[0]
-    # One frame fewer at the end is told; frames missing in the middle are refused.
-    walk.write_video(folder / "rgb.mp4", range(23))
+    # One frame fewer at the end, besides the first, is told; frames missing in the middle are refused.
+    walk.write_video(folder / "rgb.mp4", range(1, 23))
     log = (folder / "odometry.csv").read_text()
     (folder / "odometry.csv").write_text(log.replace(" 000005,", " -99,"))
     reasons = [r.reason for r in rejects_of(sessions_in(tmp_path / "place"))]
