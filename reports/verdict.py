@@ -149,7 +149,7 @@ def state_of(checks: pd.DataFrame, quality: pd.Series) -> tuple[State, str]:
     reasons = list(dict.fromkeys(of_map.loc[of_map["status"] != "passed", "reason"]))
     share = quality.isin(SURE_CLASSES).mean()
     if share < MIN_TRUSTED:
-        reasons.append(f"{math.ceil(MIN_TRUSTED * len(quality))} of {len(quality)} are needed")
+        reasons.insert(0, f"{math.ceil(MIN_TRUSTED * len(quality))} of {len(quality)} are needed")
     if reasons:
         return State.UNDECIDED, f"{100 * share:.0f} % of the frames are of class A or B, but: {'; '.join(reasons)}"
     return State.ACCEPTED, f"{100 * share:.0f} % of the frames are of class A or B; scale and vertical are known"

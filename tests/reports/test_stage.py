@@ -470,6 +470,14 @@ def test_no_path_is_walked_where_none_is_known(make_run: MakeRun) -> None:
 
 
 @pytest.mark.usefixtures("no_figures")
+def test_a_fit_to_a_reference_of_unknown_unit_is_no_metric_scale(make_run: MakeRun) -> None:
+    data = make_run(Yard={"train": 12, "test": 8, "scale_source": "reference, unit unknown"})
+    page = page_of(execute(STAGE, "Yard", "tiny", data))
+    facts = page[page.index('id="verdict"') : page.index('id="capture"')]
+    assert "scale against the reference, not metres" in facts and ">metric scale<" not in facts
+
+
+@pytest.mark.usefixtures("no_figures")
 def test_walks_without_vio_beside_others_are_scored_alone(make_run: MakeRun) -> None:
     data = make_run(Hall={"without_vio": ("walk_2", "walk_4")})
     rewrite(data, "Hall", "fuse", "poses", table_of(data, "Hall", "fuse", "poses").assign(reasons="gap"))

@@ -153,6 +153,8 @@ def test_what_is_needed_is_said_as_a_count() -> None:
     checks = pd.DataFrame({"check": [], "status": [], "reason": []})
     state, why = state_of(checks, pd.Series(["A"] * 100 + ["C"] * 101))
     assert state == "undecided" and why.endswith("but: 101 of 201 are needed")
+    checks = pd.DataFrame({"check": ["map_scale"], "status": ["undecided"], "reason": ["the scale is unknown"]})
+    assert state_of(checks, pd.Series(["C"]))[1].endswith("but: 1 of 1 are needed; the scale is unknown")
 
 
 def test_a_refused_capture_says_why_and_what_to_do(make_run: MakeRun) -> None:
