@@ -165,7 +165,7 @@ class _Search:
         fits = [f for f in FORMATS.values() if (f in self.formats or not f.is_images_alone) and self._fits(f, path)]
         candidates = [f for f in fits if f in self.formats]
         first = [f for f in candidates if not {g.id for g in candidates} & set(f.yields_to)]
-        first = [f for f in first if not f.yields_to_all or len(first) == 1]
+        first = [f for f in first if not f.yields_to_all] or first
         if len(first) > 1:
             raise UserError(
                 "a recording fits more than one format",

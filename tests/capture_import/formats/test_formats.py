@@ -307,6 +307,18 @@ def test_video_frames_are_joined_to_their_own_poses(tmp_path: Path, place: Path,
         assert int(np.argmin(errors)) == index and errors[index] < 20
 
 
+@pytest.mark.parametrize("name", ["record3d", "polycam", "3d_scanner_app"])
+def test_poses_made_of_a_recordings_images_yield_to_its_own(tmp_path: Path, name: str) -> None:
+    """record3d2nerf.py of instant-ngp and Polycam's polyform write transforms.json into the recording's folder."""
+    WRITERS[name].write(folder := tmp_path / "place" / "walk", make_walk(8))
+    images = [path.relative_to(folder).as_posix() for path in places(tmp_path, name)]
+    frames = [{"file_path": f"./{image}", "transform_matrix": np.eye(4).tolist()} for image in images]
+    (folder / "transforms.json").write_text(json.dumps({"fl_x": 300, "cx": 160, "cy": 120, "frames": frames}))
+    raw = read_one(tmp_path / "place")
+    assert raw.format == name and any("it is nerfstudio transforms.json, too" in note for note in raw.notes)
+    assert read_one(tmp_path / "place", "nerfstudio").format == "nerfstudio"
+
+
 def test_rows_that_only_add_a_tag_are_not_read(tmp_path: Path) -> None:
     walk = make_walk(12)
     WRITERS["arcore_logger"].write(tmp_path / "place", walk)
