@@ -50,8 +50,8 @@ def facts(scene: SceneInputs, verdict: Verdict) -> list[tuple[str, str, str]]:
     path_m = scene.sessions["path_m"].sum(skipna=False)
     walked = "" if path_m != path_m else f", {path_m:.{0 if path_m >= 10 else 1}f} m walked"
     many = "s" if len(scene.sessions) > 1 else ""
-    devices = ", ".join(dict.fromkeys(filter(None, scene.sessions["device"])))
-    captured = f"{len(scene.sessions)} session{many}{walked}; {devices or 'unknown device'}"
+    devices = [device for device in scene.sessions["device"].unique() if device and device != "unknown"]
+    captured = f"{len(scene.sessions)} session{many}{walked}; {', '.join(devices) or 'unknown device'}"
     shown = [(f"{len(frames)}", "frames", captured)]
     if "align" not in scene.stages:
         return shown

@@ -467,6 +467,8 @@ def test_no_path_is_walked_where_none_is_known(make_run: MakeRun) -> None:
         rewrite(data, "Bar", "import", "sessions", sessions.assign(path_m=path_m))
         page = page_of(execute(STAGE, "Bar", "tiny", data))
         assert f"<small>{known}; made up</small>" in page
+    rewrite(data, "Bar", "import", "sessions", sessions.assign(device="unknown"))
+    assert "440 m walked; unknown device</small>" in page_of(execute(STAGE, "Bar", "tiny", data))
 
 
 @pytest.mark.usefixtures("no_figures")
