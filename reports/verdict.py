@@ -41,6 +41,9 @@ FRAME_ADVICE = {
     NotRegistered.NO_VERIFIED_PAIRS: f"overlap with other frames: {_CLOSER}",
     NotRegistered.NOT_MAPPED: f"overlap with other frames: {_CLOSER}",
     NotRegistered.MISPLACED: "look at the image: a look-alike place? More frames on the way to it tell the two apart",
+    "SfM inconsistent with VIO": "more overlap there, where SfM broke or VIO jumped (docs/how-to/failed-check.md)",
+    "SfM and reference inconsistent": f"nothing tells which is wrong there; more images settle it: {_CLOSER}",
+    "the map has no metric scale": "a ruler in view (docs/how-to/ruler.md), surveyed points, or a data set's unit",
 }
 """By words of a frame's reason: what to do in another capture."""
 
