@@ -307,6 +307,15 @@ def test_video_frames_are_joined_to_their_own_poses(tmp_path: Path, place: Path,
         assert int(np.argmin(errors)) == index and errors[index] < 20
 
 
+def test_where_few_images_have_a_pose_it_is_said_how_all_are_read(tmp_path: Path) -> None:
+    WRITERS["nerfstudio"].write(tmp_path / "place", make_walk(8, every=1))
+    log = tmp_path / "place" / "transforms.json"
+    content = json.loads(log.read_text())
+    log.write_text(json.dumps(content | {"frames": content["frames"][:3]}))
+    (note,) = (note for note in read_one(tmp_path / "place").notes if "no pose" in note)
+    assert note.startswith("5 of 8 images have no pose") and 'format = "photos"' in note
+
+
 @pytest.mark.parametrize("name", ["record3d", "polycam", "3d_scanner_app"])
 def test_poses_made_of_a_recordings_images_yield_to_its_own(tmp_path: Path, name: str) -> None:
     """record3d2nerf.py of instant-ngp and Polycam's polyform write transforms.json into the recording's folder."""
