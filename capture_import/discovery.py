@@ -63,7 +63,12 @@ class RecordingSource:
         if unsized := sum(camera is not None and camera.width is None for camera in cameras):
             # Nothing would show images that were scaled.
             notes.append(f"the log states no size of {unsized} images: their intrinsics are taken for the files' own")
-        rejects = [*raw.rejects, *_images_without_a_row(raw)]
+        without_row = _images_without_a_row(raw)
+        if len(without_row) > len(cameras) > 0:  # as where a tool placed few of them
+            photos = setting_of("import", 'format = "photos"')
+            count = len(without_row) + len(cameras)
+            notes.append(f"{len(without_row)} of {count} images have no pose: {photos} reads all, without poses")
+        rejects = [*raw.rejects, *without_row]
         return replace(raw, recording_id=self.recording_id, format=self.format.id, notes=notes, rejects=rejects)
 
 
@@ -165,7 +170,7 @@ class _Search:
         fits = [f for f in FORMATS.values() if (f in self.formats or not f.is_images_alone) and self._fits(f, path)]
         candidates = [f for f in fits if f in self.formats]
         first = [f for f in candidates if not {g.id for g in candidates} & set(f.yields_to)]
-        first = [f for f in first if not f.yields_to_all or len(first) == 1]
+        first = [f for f in first if not f.yields_to_all] or first
         if len(first) > 1:
             raise UserError(
                 "a recording fits more than one format",

@@ -17,7 +17,7 @@ from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.templating import from_template
 from groundwalk.reports.verdict import State, Verdict, usual_drift
 from groundwalk.reports.walk_map import data_address, draw, frame_data, thumbnail
-from groundwalk.store.choices import QualityClass
+from groundwalk.store.choices import MapUnit, QualityClass
 from groundwalk.store.tables import scale_warning
 
 _SHEET = 8  # pictures that show what a capture is of
@@ -48,10 +48,10 @@ def facts(scene: SceneInputs, verdict: Verdict) -> list[tuple[str, str, str]]:
     unit, per = details.small_unit(scene.unit)
     frames, trusted = verdict.frames, verdict.trusted
     path_m = scene.sessions["path_m"].sum(skipna=False)
-    walked = "" if path_m != path_m else f", {path_m:.0f} m walked"
+    walked = "" if path_m != path_m else f", {path_m:.{0 if path_m >= 10 else 1}f} m walked"
     many = "s" if len(scene.sessions) > 1 else ""
-    devices = ", ".join(dict.fromkeys(filter(None, scene.sessions["device"])))
-    captured = f"{len(scene.sessions)} session{many}{walked}; {devices or 'unknown device'}"
+    devices = [device for device in scene.sessions["device"].unique() if device and device != "unknown"]
+    captured = f"{len(scene.sessions)} session{many}{walked}; {', '.join(devices) or 'unknown device'}"
     shown = [(f"{len(frames)}", "frames", captured)]
     if "align" not in scene.stages:
         return shown
@@ -67,7 +67,7 @@ def facts(scene: SceneInputs, verdict: Verdict) -> list[tuple[str, str, str]]:
         what = f"to which 95 % of {which} are known: one sigma, least certain axis"
         half = f"half to ± {per * known['position_sd'].median():.2g} {unit}"
         shown.append((f"± {per * metres:.2g} {unit}, ± {degrees:.2g}°", what, half))
-    covered = f"longest stretch without such a frame: {longest:.1f} {scene.unit.symbol}"
+    covered = f"longest stretch without such a frame: {longest:.{1 if longest >= 1 else 2}f} {scene.unit.symbol}"
     if coverage == coverage:
         shown.append((f"{100 * coverage:.0f} %", "of the walk lies between trusted frames", covered))
     figures = scene.manifests["align"]["figures"]
@@ -75,7 +75,8 @@ def facts(scene: SceneInputs, verdict: Verdict) -> list[tuple[str, str, str]]:
     source = str(figures.get("scale_source")).replace("vio", "VIO")
     upright = "vertical unknown" if vertical is None else f"vertical ± {vertical:.2g}°"
     known_scale = "unknown" if scale is None else f"± {100 * scale:.2g} %"
-    shown.append((known_scale, "metric scale", f"from {source}; {upright}"))
+    what = "scale against the reference, not metres" if scene.unit is MapUnit.REFERENCE else "metric scale"
+    shown.append((known_scale, what, f"from {source}; {upright}"))
     if d := usual_drift(scene):
         jumps = f"{len(scene.jumps)} VIO jump{'s' if len(scene.jumps) != 1 else ''}"
         more = f"median; 95th percentile {d['p95_percent']:.2g} %; {jumps}"

@@ -41,6 +41,9 @@ FRAME_ADVICE = {
     NotRegistered.NO_VERIFIED_PAIRS: f"overlap with other frames: {_CLOSER}",
     NotRegistered.NOT_MAPPED: f"overlap with other frames: {_CLOSER}",
     NotRegistered.MISPLACED: "look at the image: a look-alike place? More frames on the way to it tell the two apart",
+    "SfM inconsistent with VIO": "more overlap there, where SfM broke or VIO jumped (docs/how-to/failed-check.md)",
+    "SfM and reference inconsistent": f"nothing tells which is wrong there; more images settle it: {_CLOSER}",
+    "the map has no metric scale": "a ruler in view (docs/how-to/ruler.md), surveyed points, or a data set's unit",
 }
 """By words of a frame's reason: what to do in another capture."""
 
@@ -149,7 +152,7 @@ def state_of(checks: pd.DataFrame, quality: pd.Series) -> tuple[State, str]:
     reasons = list(dict.fromkeys(of_map.loc[of_map["status"] != "passed", "reason"]))
     share = quality.isin(SURE_CLASSES).mean()
     if share < MIN_TRUSTED:
-        reasons.append(f"{math.ceil(MIN_TRUSTED * len(quality))} of {len(quality)} are needed")
+        reasons.insert(0, f"{math.ceil(MIN_TRUSTED * len(quality))} of {len(quality)} are needed")
     if reasons:
         return State.UNDECIDED, f"{100 * share:.0f} % of the frames are of class A or B, but: {'; '.join(reasons)}"
     return State.ACCEPTED, f"{100 * share:.0f} % of the frames are of class A or B; scale and vertical are known"

@@ -21,8 +21,9 @@ class Format(Entry):
     `looks_for` the same in words; `missing` says what a folder with some of `files` lacks, nothing where that isn't
     known. `read` gets that folder or file and the limits; it raises UserError where the recording as a whole can't be
     read. `yields_to` names formats that are read instead where they fit, too, as they say more of the same images;
-    `yields_to_all`: all others are. `is_images_alone`: it has no poses, and is looked for where a capture holds nothing
-    else that could, or where it's named.
+    `yields_to_all`: all others that don't yield to all, as poses that were made of a recording's images lie beside its
+    own. `is_images_alone`: it has no poses, and is looked for where a capture holds nothing else that could, or where
+    it's named.
     """
 
     noun: ClassVar[str] = "capture format"

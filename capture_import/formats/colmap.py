@@ -346,4 +346,5 @@ FORMAT = Format(
     detect=detect,
     missing=missing,
     read=read,
+    yields_to_all=True,
 )

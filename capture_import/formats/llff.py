@@ -67,4 +67,5 @@ FORMAT = Format(
     files=(_FILE, "images/|images_*/"),
     read=read,
     yields_to=("colmap", "nerfstudio"),  # which have each image's name and the lens
+    yields_to_all=True,
 )

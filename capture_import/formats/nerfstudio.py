@@ -235,4 +235,5 @@ FORMAT = Format(
     missing=missing,
     read=read,
     yields_to=("colmap",),  # whose models have the whole distortion, and no applied_transform
+    yields_to_all=True,
 )

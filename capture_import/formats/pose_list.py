@@ -145,5 +145,6 @@ FORMAT = Format(
     looks_for="images beside a list of poses: rows of TUM, KITTI, or image name, position, quaternion",
     detect=detect,
     read=read,
+    yields_to=("colmap", "nerfstudio", "llff"),
     yields_to_all=True,
 )

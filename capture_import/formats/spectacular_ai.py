@@ -2,9 +2,11 @@
 
 https://spectacularai.github.io/docs/sdk, and files of its examples. Poses take the device's axes to a world whose +z is
 up; `imuToCamera` of `calibration.json` takes them to OpenCV camera axes. Without it poses are the device's, and images
-aren't used. Rows of `data.jsonl` with `frames` are the video's, in order, which is `data.mov` on iOS.
+aren't used. Rows of `data.jsonl` with `frames` are the video's, in order, which is `data.mov` on iOS. The app records
+all but `output.jsonl`, which the SDK makes of it.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,15 @@ from groundwalk.store.choices import Clock, Tracking
 
 _STATES = {"TRACKING": Tracking.NORMAL, "INIT": Tracking.LIMITED, "LOST_TRACKING": Tracking.LOST}
 _CAMERA = ("focalLengthX", "focalLengthY", "principalPointX", "principalPointY")
+
+
+def detect(path: Path) -> bool:
+    return (path / "output.jsonl").is_file()
+
+
+def missing(path: Path) -> str:
+    is_ours = re.search(rb'"(frames|sensor)"\s*:', parsing.first_bytes(path / "data.jsonl"))
+    return "output.jsonl (its poses, which vio_jsonl of the SDK's examples writes)" if is_ours else ""
 
 
 def read(path: Path, limits: Limits) -> Recording:
@@ -77,7 +88,9 @@ FORMAT = Format(
     id="spectacular_ai",
     label="Spectacular AI",
     meaning="video, VIO",
-    files=("output.jsonl",),
+    files=("output.jsonl", "data.jsonl"),
+    detect=detect,
+    missing=missing,
     looks_for="output.jsonl, with data.jsonl, data.mp4 or data.mov, and calibration.json for images",
     read=read,
 )

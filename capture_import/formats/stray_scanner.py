@@ -1,9 +1,10 @@
 """Stray Scanner (Stray Robots): `rgb.mp4` with one row of `odometry.csv` a frame.
 
 https://github.com/StrayRobots/scanner/blob/main/docs/format.md. Times are seconds since the phone was started; camera
-axes are OpenCV's already, the world is ARKit's. Video and rows belong together by number; the video's own clock starts
-a frame early, so it only checks the join. The older generation has one `camera_matrix.csv`, the last frame's, and depth
-as `.npy`, which isn't read; the newer logs intrinsics a row. `imu.csv` has accelerations as Core Motion has them.
+axes are OpenCV's already, the world is ARKit's. Video and rows belong together by number, but the app gives the first
+frame a time before the video's start, so an edit list hides it and a player shows one frame fewer than there are rows:
+row n is then the video's frame n - 1. The older generation has one `camera_matrix.csv`, the last frame's, and depth as
+`.npy`, which isn't read; the newer logs intrinsics a row. `imu.csv` has accelerations as Core Motion has them.
 """
 
 import csv
@@ -12,7 +13,7 @@ from pathlib import Path
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import DepthFile, Intrinsics, Limits, RawFrame, Recording, VideoFrame
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.media.video import check_join
+from groundwalk.capture_import.media.video import check_join, frame_times
 from groundwalk.store import UserError
 from groundwalk.store.choices import Clock
 
@@ -32,6 +33,7 @@ def read(path: Path, limits: Limits) -> Recording:
             found=f"no {', '.join(missing)}; its first line: {header[1][:80] or 'empty'}",
         )
     shared = None if set(_PER_FRAME) <= set(names) else _camera_matrix(path / "camera_matrix.csv")
+    hidden = int(len(frame_times(video, limits)) < len(rows))
 
     def read_row(_: int, line: str) -> RawFrame:
         row = dict(zip(names, next(csv.reader([line], skipinitialspace=True)), strict=False))
@@ -40,7 +42,7 @@ def read(path: Path, limits: Limits) -> Recording:
         return RawFrame(
             parsing.seconds_to_ns(parsing.number(row, "timestamp"), "timestamp"),
             parsing.quaternion_pose(xyz, xyzw),
-            VideoFrame(video, index),
+            None if 0 <= index < hidden else VideoFrame(video, index - hidden),
             shared or parsing.intrinsics(row, _PER_FRAME),
             depth=DepthFile.if_there(*(path / kind / f"{index:06d}.png" for kind in ("depth", "confidence"))),
             number=index,
@@ -48,7 +50,9 @@ def read(path: Path, limits: Limits) -> Recording:
 
     frames, rejects = parsing.read_rows(rows, read_row)
     notes = ["one camera matrix, the last frame's, stands for all frames"] if shared else []
-    notes += check_join(video, "odometry.csv", frames, len(rows), limits)
+    if hidden:
+        notes.append("the video doesn't show the first row's frame, as the app writes it: row n has the frame before n")
+    notes += check_join(video, "odometry.csv", frames, len(rows) - hidden, limits)
     accelerations = parsing.core_motion(path / "imu.csv", limits)
     return Recording("iOS, Stray Scanner", Clock.BOOT, path, frames, rejects, accelerations=accelerations, notes=notes)
 

@@ -4,6 +4,7 @@ import json
 import zipfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -66,10 +67,10 @@ class Walk:
     def png(self, index: int) -> bytes:
         return cv2.imencode(".png", self.picture(index))[1].tobytes()
 
-    def write_video(self, path: Path, indices: Sequence[int]) -> None:
-        """A video of what is seen at these poses, at their rate."""
+    def write_video(self, path: Path, indices: Sequence[int], hidden: int = 0) -> None:
+        """A video of what is seen at these poses, at their rate; an edit list hides the first `hidden` ones."""
         rate_hz = round(1e9 / float(np.median(np.diff(self.t_ns[list(indices)]))))
-        write_video(path, [self.picture(i) for i in indices], rate_hz)
+        write_video(path, [self.picture(i) for i in indices], rate_hz, hidden)
 
     def arkit(self) -> Array:
         """The poses as ARKit writes them (N, 4, 4)."""
@@ -120,15 +121,16 @@ def write_scanner_app(folder: Path, walk: Walk, private: bool = False) -> None:
     _write(folder, files | {f"frame_{i:05d}.jpg": walk.jpeg(i) for i in walk.seen})
 
 
-def write_video(path: Path, pictures: Sequence[np.ndarray], rate_hz: int, **options: str) -> None:
-    """A video of pictures (H, W, 3), the same to the byte each time."""
+def write_video(path: Path, pictures: Sequence[np.ndarray], rate_hz: int, hidden: int = 0, **options: str) -> None:
+    """A video of pictures (H, W, 3), the same to the byte each time; an edit list hides the first `hidden` ones."""
     with av.open(path, "w") as container:
         stream = container.add_stream("libx264", rate=rate_hz, options={"crf": "10"} | options)
         stream.height, stream.width = pictures[0].shape[:2]
         stream.pix_fmt = "yuv420p"
-        for bgr in pictures:
+        for tick, bgr in enumerate(pictures, -hidden):
             # When it's left to the encoder, the conversion's result differs now and then.
             frame = av.VideoFrame.from_ndarray(bgr, format="bgr24").reformat(format="yuv420p")
+            frame.pts, frame.time_base = tick, Fraction(1, rate_hz)
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
 

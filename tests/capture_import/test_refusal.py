@@ -17,6 +17,10 @@ HALVES = {
     "stray_scanner": ("rgb.mp4", "odometry.csv is here, rgb.mp4 is not"),
     "scan_capture": ("images.mp4", "poses.txt is here, images.mp4 is not"),
     "ios_logger": ("Frames.m4v", "ARposes.txt and Frames.txt are here, Frames.m4v is not"),
+    "spectacular_ai": (
+        "output.jsonl",
+        "data.jsonl is here, output.jsonl (its poses, which vio_jsonl of the SDK's examples writes) is not",
+    ),
     "record3d": ("rgb", "metadata.json is here, rgbd/ or rgb/ is not"),
     "polycam": ("keyframes/images", "keyframes/cameras/ is here, keyframes/images/ is not"),
     "nerf_capture": ("images", "transforms.json is here, images/ is not"),

@@ -467,6 +467,16 @@ def test_no_path_is_walked_where_none_is_known(make_run: MakeRun) -> None:
         rewrite(data, "Bar", "import", "sessions", sessions.assign(path_m=path_m))
         page = page_of(execute(STAGE, "Bar", "tiny", data))
         assert f"<small>{known}; made up</small>" in page
+    rewrite(data, "Bar", "import", "sessions", sessions.assign(device="unknown"))
+    assert "440 m walked; unknown device</small>" in page_of(execute(STAGE, "Bar", "tiny", data))
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_fit_to_a_reference_of_unknown_unit_is_no_metric_scale(make_run: MakeRun) -> None:
+    data = make_run(Yard={"train": 12, "test": 8, "scale_source": "reference, unit unknown"})
+    page = page_of(execute(STAGE, "Yard", "tiny", data))
+    facts = page[page.index('id="verdict"') : page.index('id="capture"')]
+    assert "scale against the reference, not metres" in facts and ">metric scale<" not in facts
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -113,7 +113,12 @@ def test_whatever_keeps_a_frame_from_being_sure_comes_with_what_to_do(
     assert [p["why"] for p in problems if p["what"] == "recording walk_3 left out"] == [
         "a video can't be read: 0 bytes"
     ]
-    assert all(any(words in reason for words in FRAME_ADVICE) for reason in NotRegistered)
+    of_align = (
+        "pose in SfM inconsistent with VIO",
+        "poses in SfM and reference inconsistent",
+        "class C: the map has no metric scale",
+    )
+    assert all(any(words in reason for words in FRAME_ADVICE) for reason in (*NotRegistered, *of_align))
 
 
 def test_of_a_map_of_images_alone_no_sigma_is_said(make_run: MakeRun) -> None:
@@ -153,6 +158,8 @@ def test_what_is_needed_is_said_as_a_count() -> None:
     checks = pd.DataFrame({"check": [], "status": [], "reason": []})
     state, why = state_of(checks, pd.Series(["A"] * 100 + ["C"] * 101))
     assert state == "undecided" and why.endswith("but: 101 of 201 are needed")
+    checks = pd.DataFrame({"check": ["map_scale"], "status": ["undecided"], "reason": ["the scale is unknown"]})
+    assert state_of(checks, pd.Series(["C"]))[1].endswith("but: 1 of 1 are needed; the scale is unknown")
 
 
 def test_a_refused_capture_says_why_and_what_to_do(make_run: MakeRun) -> None:

@@ -293,16 +293,39 @@ def test_kitti_poses_beside_the_sequences_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(poses_of(raw.frames), walk.vio_T_cam, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["stray_scanner", "scan_capture"])
-def test_video_frames_are_joined_to_their_own_poses(tmp_path: Path, place: Path, name: str) -> None:
+@pytest.mark.parametrize(("name", "hidden"), [("stray_scanner", 0), ("stray_scanner", 1), ("scan_capture", 0)])
+def test_video_frames_are_joined_to_their_own_poses(tmp_path: Path, place: Path, name: str, hidden: int) -> None:
     walk = make_walk(24)
     WRITERS[name].write(place / "walk", walk)
+    if hidden:  # as the app writes it
+        walk.write_video(place / "walk" / "rgb.mp4", walk.all, hidden)
     made = imported(tmp_path)
     for row in rows(made["frames"]):
         index = int(np.argmin(np.abs(walk.t_ns - row.t_ns)))
         written = decode_rgb((made.folder / row.image.removeprefix("import:")).read_bytes(), 1000)
         errors = [np.abs(written.astype(int) - image(i)[:, :, ::-1]).mean() for i in range(24)]
         assert int(np.argmin(errors)) == index and errors[index] < 20
+
+
+def test_where_few_images_have_a_pose_it_is_said_how_all_are_read(tmp_path: Path) -> None:
+    WRITERS["nerfstudio"].write(tmp_path / "place", make_walk(8, every=1))
+    log = tmp_path / "place" / "transforms.json"
+    content = json.loads(log.read_text())
+    log.write_text(json.dumps(content | {"frames": content["frames"][:3]}))
+    (note,) = (note for note in read_one(tmp_path / "place").notes if "no pose" in note)
+    assert note.startswith("5 of 8 images have no pose") and 'format = "photos"' in note
+
+
+@pytest.mark.parametrize("name", ["record3d", "polycam", "3d_scanner_app"])
+def test_poses_made_of_a_recordings_images_yield_to_its_own(tmp_path: Path, name: str) -> None:
+    """record3d2nerf.py of instant-ngp and Polycam's polyform write transforms.json into the recording's folder."""
+    WRITERS[name].write(folder := tmp_path / "place" / "walk", make_walk(8))
+    images = [path.relative_to(folder).as_posix() for path in places(tmp_path, name)]
+    frames = [{"file_path": f"./{image}", "transform_matrix": np.eye(4).tolist()} for image in images]
+    (folder / "transforms.json").write_text(json.dumps({"fl_x": 300, "cx": 160, "cy": 120, "frames": frames}))
+    raw = read_one(tmp_path / "place")
+    assert raw.format == name and any("it is nerfstudio transforms.json, too" in note for note in raw.notes)
+    assert read_one(tmp_path / "place", "nerfstudio").format == "nerfstudio"
 
 
 def test_rows_that_only_add_a_tag_are_not_read(tmp_path: Path) -> None:
@@ -328,8 +351,8 @@ def test_older_stray_scanner_has_one_camera_and_a_video_that_starts_elsewhere_is
     (session,) = sessions_in(tmp_path / "place")
     assert {image.camera.fx for image in session.images} == {walk.camera[-1, 0]}
     assert "last frame" in session.recording.notes[0]
-    # One frame fewer at the end is told; frames missing in the middle are refused.
-    walk.write_video(folder / "rgb.mp4", range(23))
+    # One frame fewer at the end, besides the first, is told; frames missing in the middle are refused.
+    walk.write_video(folder / "rgb.mp4", range(1, 23))
     log = (folder / "odometry.csv").read_text()
     (folder / "odometry.csv").write_text(log.replace(" 000005,", " -99,"))
     reasons = [r.reason for r in rejects_of(sessions_in(tmp_path / "place"))]
