@@ -19,9 +19,8 @@ from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import MANIFEST, load_verified
-from groundwalk.store.schemas import schema
 from groundwalk.store.settings import SHIPPED_DATA
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.tables import poses_of, table_of
 
 app = new_app(__doc__ or "")
 
@@ -94,15 +93,13 @@ def _of_sequence(data: DataRoot, profile: str, scene: str) -> list[str]:
     stages = ["import", "align", "localise"]
     if (data.run(profile, scene, "train") / MANIFEST).is_file():
         stages.append("train")
-    tables = {name: data.run(profile, scene, name) for name in stages}
-    for folder in tables.values():
-        load_verified(folder)
-    frames = read_table(tables["import"] / "frames.parquet", schema("import", "frames"))
-    truth = read_table(tables["align"] / "ground_truth.parquet", schema("align", "ground_truth")).set_index("frame_id")
-    own = read_table(tables["import"] / "reference.parquet", schema("import", "reference")).set_index("frame_id")
-    predictions = pd.concat(
-        read_table(tables[stage] / "predictions.parquet", schema(stage, "predictions")) for stage in stages[2:]
-    )
+    run = data.run(profile, scene)
+    for stage in stages:
+        load_verified(run / stage)
+    frames = table_of(run, "import", "frames")
+    truth = table_of(run, "align", "ground_truth").set_index("frame_id")
+    own = table_of(run, "import", "reference").set_index("frame_id")
+    predictions = pd.concat(table_of(run, stage, "predictions") for stage in stages[2:])
     tested = predictions[predictions["split"] == "test"]
     rows = [
         ["localiser", "test frames", "refused", "against our ground truth, median", "worst", "against its own poses"]
@@ -139,16 +136,16 @@ def _errors(found: pd.DataFrame, true: pd.DataFrame) -> pd.DataFrame:
 def errors_of(data: DataRoot, profile: str, scene: str) -> dict[str, tuple[float, float]]:
     """Median position and rotation errors against the data set's own poses on all of the scene's test frames, an image
     without an answer as an infinite one, by regressor and map localiser; {} where it hasn't been run."""
-    own = data.run(profile, scene, "import") / "reference.parquet"
-    stages = [s for s in ("localise", "train") if (data.run(profile, scene, s) / MANIFEST).is_file()]
+    run = data.run(profile, scene)
+    stages = [stage for stage in ("localise", "train") if (run / stage / MANIFEST).is_file()]
     if not stages:
         return {}
     for stage in ("import", *stages):
-        load_verified(data.run(profile, scene, stage))
-    reference = read_table(own, schema("import", "reference")).set_index("frame_id")
+        load_verified(run / stage)
+    reference = table_of(run, "import", "reference").set_index("frame_id")
     errors = {}
     for stage in stages:
-        predictions = read_table(data.run(profile, scene, stage) / "predictions.parquet", schema(stage, "predictions"))
+        predictions = table_of(run, stage, "predictions")
         for model, rows in predictions[predictions["split"] == "test"].groupby("model"):
             medians = _errors(rows, reference.loc[rows["frame_id"]]).fillna(np.inf).median()
             errors[str(model)] = float(medians["m"]), float(medians["deg"])

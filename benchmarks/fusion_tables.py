@@ -21,8 +21,7 @@ from groundwalk.simulation.scenes import NAMES
 from groundwalk.store import UserError
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import MANIFEST
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import pose_frame, read_table
+from groundwalk.store.tables import pose_frame, table_of
 
 KINDS = (inputs.SIMULATED, *inputs.BAD_ODOMETRY, inputs.KIDNAPPED)
 app = new_app(__doc__ or "")
@@ -94,7 +93,7 @@ def write_trained(folder: Path, trained: Path, models: Sequence[str]) -> list[st
         place.mkdir(parents=True, exist_ok=True)
         shutil.copy(runs[0] / "import" / "frames.parquet", place)
         shutil.copy(runs[0] / "align" / "ground_truth.parquet", place)
-        predicted = [read_table(run / "train" / "predictions.parquet", schema("train", "predictions")) for run in runs]
+        predicted = [table_of(run, "train", "predictions") for run in runs]
         _stacked(predicted).to_parquet(place / "predictions.parquet", index=False)
     if not names:
         raise UserError("nothing was trained there", where=trained, do="run python -m benchmarks.regressors first")

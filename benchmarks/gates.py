@@ -53,8 +53,7 @@ from groundwalk.store.checkout import git_revision
 from groundwalk.store.choices import FailureCause, Rejected
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import load_manifest
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.tables import poses_of, table_of
 from groundwalk.store.true_poses import true_poses_of
 
 PROFILE = "tiny"
@@ -165,17 +164,17 @@ def _named_fault(data: DataRoot, scene: str, case: Case) -> tuple[str, str, str]
             text = " ".join(str(error).split())
             return _named(text), stage.name, text
         if stage is IMPORT:
-            rejects = read_table(data.run(PROFILE, scene, "import") / "rejects.parquet", schema("import", "rejects"))
+            rejects = table_of(data.run(PROFILE, scene), "import", "rejects")
             for reason in rejects.loc[rejects["rejected"] == Rejected.RECORDING, "reason"]:
                 return _named(reason), stage.name, reason
             backward = int(rejects["reason"].str.contains(_BACKWARD).sum())
             if backward:
                 return FailureCause.MISMATCHED_IMAGES, stage.name, f"{backward} rows: {_BACKWARD}"
-    lenses = read_table(data.run(PROFILE, scene, "sfm") / "lenses.parquet", schema("sfm", "lenses"))
+    lenses = table_of(data.run(PROFILE, scene), "sfm", "lenses")
     if lenses["stated_is_wrong"].any():
         lens = lenses[lenses["stated_is_wrong"]].iloc[0]
         return LENS, "sfm", f"stated {lens['stated_k1']:g}, {lens['stated_k2']:g}; {lens['k1']:.3f}, {lens['k2']:.3f}"
-    checks = read_table(data.run(PROFILE, scene, "align") / "checks.parquet", schema("align", "checks"))
+    checks = table_of(data.run(PROFILE, scene), "align", "checks")
     failed = checks[checks["status"] == "failed"]
     # A window that fails costs its frames; a fault is what a scene or a session is told for.
     failed = failed[~failed["check"].str.startswith("window_")]
@@ -199,11 +198,11 @@ def _labels(data: DataRoot, scene: str) -> dict[str, Any]:
     """What the frames of a case were given, and how right it is: how many there are, are registered, have ground truth
     and a wrong one, the same of class A and B, have none although registered, and are right among these; and the
     largest error given out, metres."""
-    path = data.run(PROFILE, scene, "align") / "ground_truth.parquet"
-    if not path.is_file():
+    run = data.run(PROFILE, scene)
+    if not (run / "align" / "ground_truth.parquet").is_file():
         return {}
-    gt = read_table(path, schema("align", "ground_truth"))
-    images = read_table(data.run(PROFILE, scene, "sfm") / "images.parquet", schema("sfm", "images"))
+    gt = table_of(run, "align", "ground_truth")
+    images = table_of(run, "sfm", "images")
     images = gt[["frame_id"]].merge(images, on="frame_id", how="left")
     true_T_cam = true_poses_of(gt, scene, PROFILE, data)
     given, registered = (gt["quality"] != "none").to_numpy(), images["registered"].to_numpy(bool)
@@ -216,7 +215,7 @@ def _labels(data: DataRoot, scene: str) -> dict[str, Any]:
         of_model = registered & (images["model_id"] == model).to_numpy()
         _, in_model[of_model] = _errors(true_T_cam[of_model], poses_of(images, "sfm_cam")[of_model], fit_sim3)
     lost = registered & ~given
-    figures = load_manifest(data.run(PROFILE, scene, "align"))["figures"]
+    figures = load_manifest(run / "align")["figures"]
     scale_error = None
     if given.sum() >= 3 and np.isfinite(true_T_cam[given]).all():
         scale_error = 1 / fit_sim3(true_T_cam[given, :3, 3], poses_of(gt, "map_cam")[given, :3, 3]).scale - 1

@@ -24,8 +24,7 @@ from groundwalk.store.cli import new_app
 from groundwalk.store.cores import machine
 from groundwalk.store.images import read_image
 from groundwalk.store.manifests import load_manifest
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.tables import poses_of, table_of
 
 app = new_app(__doc__ or "")
 
@@ -60,7 +59,7 @@ def _vio(capture: Path, work: Path) -> pd.DataFrame:
     if not root.captures(scene).exists():
         shutil.copytree(capture, root.captures(scene) / capture.name)
         run_stage("capture_import", scene, root, 'sampling="all"')
-    return read_table(root.run(PROFILE, scene, "import") / "frames.parquet", schema("import", "frames"))
+    return table_of(root.run(PROFILE, scene), "import", "frames")
 
 
 def _run_case(capture: Path, kind: str, vio: pd.DataFrame, images: Sequence[Path], work: Path) -> dict[str, Any]:
@@ -70,8 +69,8 @@ def _run_case(capture: Path, kind: str, vio: pd.DataFrame, images: Sequence[Path
     run_stage("capture_import", scene, root)
     run_stage("sfm", scene, root)
     run_stage("alignment", scene, root)
-    truth = read_table(root.run(PROFILE, scene, "align") / "ground_truth.parquet", schema("align", "ground_truth"))
-    frames = read_table(root.run(PROFILE, scene, "import") / "frames.parquet", schema("import", "frames"))
+    truth = table_of(root.run(PROFILE, scene), "align", "ground_truth")
+    frames = table_of(root.run(PROFILE, scene), "import", "frames")
     frames = frames.set_index("frame_id").loc[truth["frame_id"]]
     names = frames["image"].map(lambda image: Path(image).stem)
     if kind == "video":

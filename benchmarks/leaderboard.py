@@ -37,8 +37,7 @@ from groundwalk.store.cli import new_app
 from groundwalk.store.files import make_writable
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.progress import track
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import dataset_frames, read_table
+from groundwalk.store.tables import dataset_frames, table_of
 
 app = new_app(__doc__ or "")
 RAW, RULE = "raw", "paper_rule"
@@ -111,7 +110,7 @@ def cases_of_runs(data: DataRoot) -> tuple[list[Case], list[str]]:
         if not all((folder / stage / "manifest.json").is_file() for stage in ("import", "align", "train")):
             continue
         frames, truth, *predictions = (
-            read_table(folder / stage / f"{name}.parquet", schema(stage, name))
+            table_of(folder, stage, name)
             for stage, name in (
                 ("import", "frames"),
                 ("align", "ground_truth"),

@@ -44,8 +44,7 @@ from groundwalk.store.checkout import git_revision
 from groundwalk.store.cli import new_app
 from groundwalk.store.images import image_file, read_grey_image
 from groundwalk.store.parallel import in_parallel, one_thread
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import read_table
+from groundwalk.store.tables import table_of
 
 app = new_app(__doc__ or "")
 
@@ -138,9 +137,9 @@ _LIMITS = [(0.25, 2.0), (0.02, 0.5), (0.01, 0.5), (5.0, 10.0)]
 
 def trained_regressors(data: DataRoot, profile: str, scene: str) -> Iterator[TrainedRegressor]:
     """The regressors of a scene's train stage; none where that hasn't been run."""
-    models = data.run(profile, scene, "train") / "models.parquet"
-    if models.is_file():
-        for model in read_table(models, schema("train", "models"))["model"]:
+    run = data.run(profile, scene)
+    if (run / "train" / "models.parquet").is_file():
+        for model in table_of(run, "train", "models")["model"]:
             yield load_regressor(data, profile, scene, model)
 
 

@@ -24,9 +24,8 @@ from groundwalk.geometry.poses import Array, make_pose, rotation_angle
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import new_app
-from groundwalk.store.schemas import schema
 from groundwalk.store.settings import resolve_settings
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.tables import poses_of, table_of
 
 app = new_app(__doc__ or "")
 
@@ -65,8 +64,7 @@ def _row(scene: Path, work: Path) -> list[str]:
     run_stage("capture_import", scene.name, root)
     run_stage("sfm", scene.name, root)
     run = root.run(PROFILE, scene.name)
-    frames = read_table(run / "import" / "frames.parquet", schema("import", "frames"))
-    images = read_table(run / "sfm" / "images.parquet", schema("sfm", "images"))
+    frames, images = table_of(run, "import", "frames"), table_of(run, "sfm", "images")
     order = [names.index(Path(image).name) for image in frames["image"]]
     true = true_T_cam[order], true_px[order]
     largest = (images["model_id"] == images["model_id"].mode()[0]).to_numpy(bool)

@@ -31,8 +31,7 @@ from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import MANIFEST, load_manifest
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import read_table
+from groundwalk.store.tables import table_of
 
 app = new_app(__doc__ or "")
 
@@ -84,7 +83,7 @@ def main(
             raise UserError("there is no finished train stage", where=folder, do=f"run the scene {scene} first")
         manifest = load_manifest(folder)
         kind = "simulated" if manifest["simulated"] else "real"
-        cards = read_table(folder / "models.parquet", schema("train", "models"))
+        cards = table_of(folder.parent, "train", "models")
         for model in cards.loc[cards["file"] != "", "model"]:
             regressor = load_regressor(root, profile, scene, str(model))
             regressors.setdefault(str(model), []).append(regressor)

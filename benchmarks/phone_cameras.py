@@ -48,7 +48,7 @@ from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import resolve_settings
-from groundwalk.store.tables import read_table
+from groundwalk.store.tables import read_table, table_of
 
 app = new_app(__doc__ or "")
 
@@ -185,19 +185,18 @@ def _against_truth(scene: str, profile: str, root: DataRoot) -> dict[str, Any]:
 def _cameras(scene: str, profile: str, root: DataRoot) -> dict[str, Any]:
     """k1, k2, k3, readout time, offset of time stamps and focal length by the largest model, with their sigmas, and the
     true ones."""
-    sfm, imported = root.run(profile, scene, "sfm"), root.run(profile, scene, "import")
-    images = read_table(sfm / "images.parquet", schema("sfm", "images"))
-    frames = read_table(imported / "frames.parquet", schema("import", "frames"))
-    sessions = read_table(imported / "sessions.parquet", schema("import", "sessions")).set_index("session_id")
+    run = root.run(profile, scene)
+    images, frames = table_of(run, "sfm", "images"), table_of(run, "import", "frames")
+    sessions = table_of(run, "import", "sessions").set_index("session_id")
     cameras = read_table(root.captures(scene) / "true_cameras.parquet", schema("simulate", "true_cameras"))
     keys = pd.DataFrame({"session_id": frames["session_id"].map(sessions["recording"]), "t_ns": frames["t_ns"]})
     true = keys.merge(cameras, on=["session_id", "t_ns"], how="left", validate="many_to_one")
-    lens = read_table(sfm / "lenses.parquet", schema("sfm", "lenses")).sort_values("frames").iloc[-1]
-    intrinsics = read_table(sfm / "intrinsics.parquet", schema("sfm", "intrinsics"))
+    lens = table_of(run, "sfm", "lenses").sort_values("frames").iloc[-1]
+    intrinsics = table_of(run, "sfm", "intrinsics")
     registered = images["registered"].to_numpy()
     focal_error = images["fx"].to_numpy()[registered] / true["fx"].to_numpy()[registered] - 1
     figures: dict[str, Any] = {
-        "revision": load_manifest(sfm)["git_revision"],
+        "revision": load_manifest(run / "sfm")["git_revision"],
         "registered": int(registered.sum()),
         "focal_error": float(np.median(focal_error)),
         "focal_sd": float((intrinsics["focal_scale_sd"] / intrinsics["focal_scale"]).median()),

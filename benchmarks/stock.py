@@ -21,8 +21,8 @@ from groundwalk.sfm.model import load_models
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.images import image_file
+from groundwalk.store.tables import poses_of, table_of
 
 MOST_EXHAUSTIVE = 600
 """Images up to which every pair is matched; 180,000 pairs take half an hour on two cores."""
@@ -133,13 +133,12 @@ def main(
 ) -> None:
     """Map an imported scene with stock COLMAP: one camera a session, started at the logged intrinsics."""
     sfm_settings, root = SfmSettings.model_validate_json(settings), DataRoot(data)
-    frames = read_table(root.run(profile, scene, "import") / "frames.parquet", schema("import", "frames"))
+    frames = table_of(root.run(profile, scene), "import", "frames")
     shutil.rmtree(out, ignore_errors=True)
     images, database = out / "images", out / "database.db"
     names = image_names(frames)
     for name, image in zip(names, frames["image"], strict=True):
-        inside = image.removeprefix("import:")
-        source = (root.captures(scene) if inside == image else root.run(profile, scene, "import")) / inside
+        source = image_file(image, root.captures(scene), root.run(profile, scene, "import"))
         (images / name).parent.mkdir(parents=True, exist_ok=True)
         (images / name).symlink_to(source.resolve())
     _create_database(database, names, *_session_cameras(frames, camera_model))

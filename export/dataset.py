@@ -21,14 +21,13 @@ from groundwalk.store.georeference import FILE, Georeference, read_georeference
 from groundwalk.store.hints import run_command, setting_of
 from groundwalk.store.images import exif_orientation, image_file, verify_images, without_metadata
 from groundwalk.store.manifests import MANIFEST, load_verified, missing_stage
-from groundwalk.store.schemas import schema
 from groundwalk.store.tables import (
     CAMERA_COLUMNS,
     camera_of,
     dataset_frames,
     map_unit,
     poses_of,
-    read_table,
+    table_of,
     with_cameras,
 )
 from groundwalk.store.undistortion import undistorted_image
@@ -284,17 +283,16 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
     Raises UserError where one is missing, where align wasn't made from this sfm, where no frame has ground truth, or,
     for an export with images, where one of them isn't as import saw it.
     """
+    run = root.run(profile, scene)
     align, aligned = read_finished(root, profile, scene, "align")
     imported, import_manifest = read_finished(root, profile, scene, "import", aligned)
     sfm, _ = read_finished(root, profile, scene, "sfm", aligned)
     if reads_images:
         verify_images(root.captures(scene), imported)
-    ground_truth = read_table(align / "ground_truth.parquet", schema("align", "ground_truth"))
-    images = read_table(sfm / "images.parquet", schema("sfm", "images"))
-    frames = dataset_frames(read_table(imported / "frames.parquet", schema("import", "frames"))).merge(
-        ground_truth[_OF_GROUND_TRUTH],
-        on="frame_id",
-        validate="one_to_one",
+    ground_truth = table_of(run, "align", "ground_truth")
+    images = table_of(run, "sfm", "images")
+    frames = dataset_frames(table_of(run, "import", "frames")).merge(
+        ground_truth[_OF_GROUND_TRUTH], on="frame_id", validate="one_to_one"
     )
     frames = with_cameras(frames, ground_truth)
     has_pose = (frames["quality"] != QualityClass.NONE).to_numpy()
@@ -305,7 +303,7 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
     of_sfm = images.set_index("frame_id").loc[ids]
     sfm_T_cam = poses_of(of_sfm, "sfm_cam")
     # Components are numbered by their frames, COLMAP's folders by the size of what was mapped: the same in most runs.
-    folder_of = read_table(sfm / "models.parquet", schema("sfm", "models")).set_index("model_id")["folder"]
+    folder_of = table_of(run, "sfm", "models").set_index("model_id")["folder"]
     models, component = [], frames.loc[has_pose, "component"].to_numpy(int)
     for rows in (np.flatnonzero(component == index) for index in np.unique(component)):
         folder = sfm / folder_of[of_sfm["model_id"].iloc[rows[0]]]
@@ -321,7 +319,7 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
         bool(aligned["simulated"]),
         None if x is None or y is None or z is None else (x, y, z),
         scene,
-        read_table(imported / "sessions.parquet", schema("import", "sessions")),
+        table_of(run, "import", "sessions"),
         str(import_manifest.get("figures", {}).get("split", "")),
         reads_gps=bool(import_manifest.get("settings", {}).get("gps", False)),
     )

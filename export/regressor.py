@@ -13,14 +13,13 @@ from groundwalk.store import DataRoot, UserError
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.hints import scene_file, setting_of
 from groundwalk.store.images import image_file, verify_images
-from groundwalk.store.schemas import schema
 from groundwalk.store.tables import (
     GUESS_SD,
     dataset_frames,
     map_unit,
     pose_columns,
     poses_of,
-    read_table,
+    table_of,
     with_cameras,
     with_gravity_of_map,
 )
@@ -64,7 +63,7 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
     where it has no such regressor, or only imported predictions of it.
     """
     folder, manifest = read_finished(data, profile, scene, "train")
-    cards = read_table(folder / "models.parquet", schema("train", "models"))
+    cards = table_of(folder.parent, "train", "models")
     if model not in set(cards["model"]):
         raise UserError(
             f"scene {scene} has no regressor {model!r}",
@@ -76,7 +75,7 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
     if not card["file"]:
         raise UserError(f"only predictions of {model} were imported, not the network", where=folder)
     trained = load_trained(folder / card["file"])
-    predictions = read_table(folder / "predictions.parquet", schema("train", "predictions"))
+    predictions = table_of(folder.parent, "train", "predictions")
     predictions = predictions[predictions["model"] == model]
     parts, worlds, units = [], {}, {}
     for leaf in trained.scenes:
@@ -106,9 +105,9 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
 def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> tuple[pd.DataFrame, str, MapUnit]:
     """A scene's frames with their files, cameras and ground truth, unit and axes of its map, and the unit."""
     imported, _ = read_finished(data, profile, scene, "import", train)
-    aligned, _ = read_finished(data, profile, scene, "align", train)
-    frames = dataset_frames(read_table(imported / "frames.parquet", schema("import", "frames")))
-    truth = read_table(aligned / "ground_truth.parquet", schema("align", "ground_truth"))
+    read_finished(data, profile, scene, "align", train)
+    frames = dataset_frames(table_of(imported.parent, "import", "frames"))
+    truth = table_of(imported.parent, "align", "ground_truth")
     logged, is_guess = frames["fx"].to_numpy(), (frames["focal_sd"] >= GUESS_SD).to_numpy()
     frames = with_gravity_of_map(frames, truth)
     poses = ["frame_id", *pose_columns("map_cam")]

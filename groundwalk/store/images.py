@@ -43,10 +43,9 @@ def verify_images(captures: Path, imported: Path) -> None:
     """UserError where an image of import's frames isn't the one that import saw, by the hash that it noted; those that
     it copied are among its outputs, and verified as these."""
     # Here, so that whoever only reads an image needs no pandas.
-    from groundwalk.store.schemas import schema
-    from groundwalk.store.tables import read_table
+    from groundwalk.store.tables import table_of
 
-    frames = read_table(imported / "frames.parquet", schema("import", "frames"))
+    frames = table_of(imported.parent, "import", "frames")
     frames = frames[~frames["image"].str.startswith(IMPORTED)]
     expected = dict(zip(frames["image"], frames["image_sha256"], strict=True))
     hashes = hash_files(captures, [captures / name for name in expected if (captures / name).is_file()])
