@@ -5,9 +5,9 @@ copies their images as photos, writes them as a video of two frames a second, to
 VIO, which takes no part in it. Writes docs/results/images-alone.md. Cases that are done in `--work` aren't run again.
 """
 
-import json
 import shutil
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,7 +17,7 @@ import pandas as pd
 import typer
 
 from benchmarks.groundtruth_inputs import PROFILE, run_stage
-from benchmarks.results import markdown_table, write_page
+from benchmarks.results import kept, markdown_table, write_page
 from groundwalk.geometry.fits import direction_angles, fit_sim3
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import new_app
@@ -111,10 +111,8 @@ def main(
         images = sorted(path for path in capture.iterdir() if path.suffix in (".jpg", ".png") and "frame" in path.name)
         vio = _vio(capture, work)
         for kind in ("photos", "video"):
-            done = work / f"{capture.name}_{kind}.json"
-            if not done.exists():
-                done.write_text(json.dumps(_run_case(capture, kind, vio, images, work)), encoding="utf-8")
-            rows.append((capture.name, kind, *(str(value) for value in json.loads(done.read_text()).values())))
+            row = kept(work / f"{capture.name}_{kind}.json", partial(_run_case, capture, kind, vio, images, work))
+            rows.append((capture.name, kind, *map(str, row.values())))
     text = (
         "Written by `make bench-images` (`python -m benchmarks.images_alone`), not to be edited. Images of real "
         f"captures without their poses, profile {PROFILE}: as photos, and as a video of {_FPS} frames a second. Off "

@@ -6,8 +6,8 @@ high resolution imagery", CVPR 2008 (github.com/openMVG/SfM_quality_evaluation).
 docs/results/measured-cameras.md. Scenes that are done in `--work` aren't run again.
 """
 
-import json
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -17,7 +17,7 @@ import typer
 
 from benchmarks.cost import measure
 from benchmarks.groundtruth_inputs import PROFILE, run_stage
-from benchmarks.results import circumstances, markdown_table, write_page
+from benchmarks.results import circumstances, kept, markdown_table, write_page
 from benchmarks.stock import largest_model, stock_command, stock_poses
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, make_pose, rotation_angle
@@ -86,13 +86,7 @@ def main(
     out: Annotated[Path, typer.Option(help="Where the page is written.")] = Path("docs/results"),
 ) -> None:
     """Maps of photos alone, against cameras measured by laser."""
-    rows = []
-    for scene in sorted(scenes.iterdir()):
-        done = work / f"{scene.name}.json"
-        if not done.exists():
-            done.parent.mkdir(parents=True, exist_ok=True)
-            done.write_text(json.dumps(_row(scene, work)), encoding="utf-8")
-        rows.append(json.loads(done.read_text(encoding="utf-8")))
+    rows = [kept(work / f"{scene.name}.json", partial(_row, scene, work)) for scene in sorted(scenes.iterdir())]
     text = (
         "Written by `python -m benchmarks.measured_cameras`, not to be edited. Real photos without EXIF, whose cameras "
         "were measured by laser (Strecha et al., CVPR 2008): poses, focal length, principal point and lens are found "

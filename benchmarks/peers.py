@@ -6,11 +6,10 @@ the pairs, position priors, gravity and larger camera model that a user who has 
 and peers.csv.
 """
 
-import json
 import shutil
 from collections.abc import Iterable
 from dataclasses import asdict
-from datetime import UTC, datetime
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,13 +17,12 @@ import pandas as pd
 import typer
 
 from benchmarks.cost import run_timed
-from benchmarks.real import standard_cases
+from benchmarks.real import Case, standard_cases
 from benchmarks.real_building import WALLS, wall_figures
 from benchmarks.real_figures import ALL, OURS, STOCK, Figure, Run, agreement_alone, paths_of, run_stages
-from benchmarks.results import circumstances_of, markdown_table, write_page
+from benchmarks.results import circumstances_of, kept, markdown_table, now, write_page
 from benchmarks.stock import SPATIAL_M, stock_command
 from groundwalk.sfm.settings import SfmSettings
-from groundwalk.store.checkout import git_revision
 from groundwalk.store.cli import new_app
 from groundwalk.store.settings import resolve_settings
 
@@ -104,6 +102,22 @@ def _table(rows: Iterable[dict[str, Any]]) -> Iterable[list[str]]:
         ]
 
 
+def _run_way(case: Case, way: str, folder: Path) -> dict[str, Any]:
+    run, of_way = _our_run(case, folder / "run"), folder / "ways" / way.replace(" ", "_")
+    print(f"{case.name}: {way}", flush=True)
+    of_way.mkdir(parents=True, exist_ok=True)
+    figures_of = our_figures if way == "ours" else partial(stock_figures, way=way)
+    figures = figures_of(run, of_way, is_of_right_angles=case.is_tiled_corridor)
+    images = len(run.table("import", "frames"))
+    return {"capture": case.name, "way": way, "images": images, **now(), "figures": [asdict(f) for f in figures]}
+
+
+@cache  # one run for all ways of a case
+def _our_run(case: Case, folder: Path) -> Run:
+    shutil.rmtree(folder, ignore_errors=True)
+    return run_stages(case.name, case.folder, folder, case.settings)
+
+
 @app.command()
 def main(
     captures: Annotated[Path, typer.Option(help="Folder with chair, corridor and charuco.")] = Path(
@@ -120,31 +134,7 @@ def main(
         # Positions of several sessions have axes of their own: no priors could be given.
         if case.name not in (only or ("chair", "corridor", "charuco_test-lowres")):
             continue
-        run: Run | None = None
-        for way in ("ours", *_WAYS):
-            path = folder / f"{way}.json"
-            if not path.is_file():
-                if run is None:
-                    shutil.rmtree(folder / "run", ignore_errors=True)
-                    run = run_stages(case.name, case.folder, folder / "run", case.settings)
-                print(f"{case.name}: {way}", flush=True)
-                of_way = folder / "ways" / way.replace(" ", "_")
-                of_way.mkdir(parents=True, exist_ok=True)
-                figures = (
-                    our_figures(run, of_way, case.is_tiled_corridor)
-                    if way == "ours"
-                    else stock_figures(run, of_way, way, case.is_tiled_corridor)
-                )
-                row = {
-                    "capture": case.name,
-                    "way": way,
-                    "images": len(run.table("import", "frames")),
-                    "revision": git_revision(),
-                    "date": f"{datetime.now(UTC):%Y-%m-%d}",
-                    "figures": [asdict(figure) for figure in figures],
-                }
-                path.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
-            rows.append(json.loads(path.read_text(encoding="utf-8")))
+        rows += [kept(folder / f"{way}.json", partial(_run_way, case, way, folder)) for way in ("ours", *_WAYS)]
     sections = [
         "# Stock COLMAP, told what VIO knows",
         "Written by `python -m benchmarks.peers`, not to be edited; `peers.csv` has every figure. Measured, on captures"

@@ -1,10 +1,12 @@
 """What every page of docs/results says of its run, and its tables."""
 
 import csv
+import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from groundwalk.store.checkout import git_revision
 from groundwalk.store.cores import machine
@@ -29,6 +31,20 @@ def write_page(out: Path, name: str, sections: Iterable[str], figures: Iterable[
             csv.writer(file, lineterminator="\n").writerows(rows)
 
 
+def kept(path: Path, run: Callable[[], Any]) -> Any:
+    """What a case came to, of its file of JSON: it is run, and written there, where there is no such file yet."""
+    if not path.is_file():
+        outcome = run()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(outcome, indent=1) + "\n", encoding="utf-8")
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def now() -> dict[str, str]:
+    """Revision and date of a case that is written down."""
+    return {"revision": git_revision(), "date": f"{datetime.now(UTC):%Y-%m-%d}"}
+
+
 def busy_machine() -> str:
     """The machine and how busy it is now, for the end of a run."""
     return f"{machine()}, load {os.getloadavg()[0]:.1f} as it ended"
@@ -51,4 +67,4 @@ def circumstances_of(revisions: Iterable[str], dates: Iterable[str]) -> str:
 
 def circumstances() -> str:
     """Revision, date and machine of this run, in a sentence."""
-    return f"Revision {git_revision()}, {datetime.now(UTC):%Y-%m-%d}; {busy_machine()}."
+    return "Revision {revision}, {date}; ".format(**now()) + f"{busy_machine()}."
