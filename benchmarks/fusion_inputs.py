@@ -134,11 +134,7 @@ BAD_ODOMETRY: dict[str, Callable[[str], list[Track]]] = {
     "dropouts": _dropouts,
     BETTER_APR: _poor,
 }
-_KINDS: dict[str, Callable[[str], list[Track]]] = {
-    SIMULATED: simulated_tracks,
-    **BAD_ODOMETRY,
-    KIDNAPPED: _kidnapped,
-}
+_KINDS: dict[str, Callable[[str], list[Track]]] = {SIMULATED: simulated_tracks, **BAD_ODOMETRY, KIDNAPPED: _kidnapped}
 
 
 def simulated_case(kind: str, scene: str, model: str) -> Case:

@@ -24,11 +24,7 @@ _ORIGIN = ("reference_origin_x", "reference_origin_y", "reference_origin_z")
 
 
 def frames_table(
-    session: Session,
-    used: Selection,
-    places: Sequence[Placed],
-    depths: Sequence[Mapping[str, str]],
-    first_row: str,
+    session: Session, used: Selection, places: Sequence[Placed], depths: Sequence[Mapping[str, str]], first_row: str
 ) -> pd.DataFrame:
     """Rows of `frames`, all but the split; and what the split is made from and checked by: `recording`, its name;
     `stated_split`, what a public data set states; `content_sha256`, of the image as captured without metadata (of a

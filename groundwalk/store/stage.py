@@ -32,14 +32,7 @@ from groundwalk.store.registry import Lazy, PluginError
 from groundwalk.store.resuming import run_resumable
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot, SceneConfig, Settings
-from groundwalk.store.tables import (
-    dataset_frames,
-    map_unit,
-    scale_warning,
-    table_of,
-    with_gravity_of_map,
-    write_table,
-)
+from groundwalk.store.tables import dataset_frames, map_unit, scale_warning, table_of, with_gravity_of_map, write_table
 
 S = TypeVar("S", bound=Settings)
 T = TypeVar("T")
