@@ -102,8 +102,7 @@ def cases_in(folder: Path) -> tuple[list[Case], list[str]]:
 
 
 def cases_of_runs(data: DataRoot) -> tuple[list[Case], list[str]]:
-    """Test walks of each run in the data folder that has predictions, of regressors and of structure localisers, and
-    the runs' names."""
+    """Test walks of each run in the data folder with predictions, of regressors or localisers, and the runs' names."""
     cases: list[Case] = []
     names = []
     for folder in sorted((data.root / "runs").glob("*/*")):

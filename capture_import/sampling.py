@@ -172,8 +172,7 @@ def sample_between(
 
 
 def motion_steps(a: Array, b: Array, step_m: float, step_deg: float) -> Array:
-    """How far (N,) poses b (N, 4, 4) are from a (N, 4, 4) or (4, 4), in steps of step_m or step_deg, whichever are
-    more."""
+    """How far (N,) poses b (N, 4, 4) are from a (N, 4, 4) or (4, 4), in step_m or step_deg, whichever are more."""
     a_T_b = relative(a, b)
     metres, angle_deg = np.linalg.norm(a_T_b[:, :3, 3], axis=1), np.degrees(rotation_angle(a_T_b[:, :3, :3]))
     return np.maximum(metres / step_m, angle_deg / step_deg)

@@ -95,8 +95,7 @@ def _jumps_of(recording: Recording, frames: list[RawFrame]) -> list[Jump]:
 
 
 def _by_camera(recording: Recording, frames: list[RawFrame], rejects: list[Reject]) -> list[Session]:
-    """A session a camera, in order of their first images, or a part of a video between cuts; rejects are of the first
-    one."""
+    """A session a camera, in order of first images, or a part of a video between cuts; rejects are of the first one."""
     of_session: dict[tuple[str, int], list[RawFrame]] = {}
     starts_s, part = list[float](), 0
     for frame in frames:

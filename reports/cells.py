@@ -171,8 +171,7 @@ def published_cells(tables: PrintedTables, scenes: list[SceneInputs]) -> pd.Data
 
 @dataclass(frozen=True)
 class LocaliserErrors:
-    """What a localiser reaches over the `frames` of Table IV, alone or with the method that is ahead, as it is printed
-    there."""
+    """What a localiser reaches over the `frames` of Table IV, alone or with the method ahead, as printed there."""
 
     model: str
     name: str

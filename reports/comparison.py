@@ -145,8 +145,7 @@ def lost_scale(first: ComparedRun, other: ComparedRun) -> bool:
 
 
 def _subjects(first: ComparedRun, other: ComparedRun) -> Iterator[_Subject]:
-    """The first run's: ground truth, and each model alone and with the method that is ahead on frames held out of
-    training."""
+    """The first run's ground truth, and each model alone and with the method ahead, on frames held out of training."""
     truths = (run.ground_truth for run in (first, other))
     sigmas = (t.assign(scene="", position=t["position_sd_m"], rotation=t["rotation_sd_deg"]) for t in truths)
     yield _Subject(_TRUTH, _TRUTH, *sigmas)
