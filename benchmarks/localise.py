@@ -93,6 +93,7 @@ _HONEST: dict[str, tuple[float | None, float | None]] = {
     "within 95 % bounds": (85.0, 99.0),
     "rank correlation of sigma and error": (0.6, None),
 }
+_NONE_WRONG: dict[str, tuple[float | None, float | None]] = {"wrong answers": (None, 0.0)}
 _CHURCH = {
     "within 25 cm and 2 deg": (99.5, None),
     "median": (None, 0.5),
@@ -100,27 +101,17 @@ _CHURCH = {
     "file": (None, 2.0),
     "time, median": (None, 80.0),
     "time with a prior, median": (None, 40.0),
-    "wrong answers": (None, 0.0),
+    **_NONE_WRONG,
     **_HONEST,
 }
 CASES = [
     Case("Church", "Church", "test", _CHURCH),
-    Case(
-        "chair, every fourth",
-        "chair",
-        "every 4",
-        {"within 1 cm and 0.5 deg": (100.0, None), "wrong answers": (None, 0)},
-    ),
+    Case("chair, every fourth", "chair", "every 4", {"within 1 cm and 0.5 deg": (100.0, None), **_NONE_WRONG}),
     *(
         Case(f"charuco, {name} asked", "charuco", f"session {name}", {"within 2 cm and 0.5 deg": (100.0, None)})
         for name in ("test-lowres", "train-highres")
     ),
-    Case(
-        "corridor, every fifth",
-        "corridor",
-        "every 5",
-        {"within 25 cm and 2 deg": (80.0, None), "wrong answers": (None, 0.0)},
-    ),
+    Case("corridor, every fifth", "corridor", "every 5", {"within 25 cm and 2 deg": (80.0, None), **_NONE_WRONG}),
 ]
 _GROWTH = Case(
     "Church, growth",

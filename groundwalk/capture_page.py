@@ -83,18 +83,8 @@ def look_at(session: Session, has_up: bool, reader: ImageReader) -> Look:
         turning = np.degrees(np.linalg.norm(rates.angular, axis=1))
         if session.recording.is_metric:
             speed = np.linalg.norm(rates.velocity, axis=1)
-    return Look(
-        session,
-        has_up,
-        poses_of(images),
-        pixels_s,
-        turning,
-        speed,
-        np.array(sampled, int),
-        thumbnails,
-        np.array(brightness),
-        np.array(clipped),
-    )
+    light = np.array(brightness), np.array(clipped)
+    return Look(session, has_up, poses_of(images), pixels_s, turning, speed, np.array(sampled, int), thumbnails, *light)
 
 
 def capture_page(name: str, looks: Sequence[Look], lines: Sequence[str]) -> str:
