@@ -5,12 +5,10 @@ truth of align. Needs finished runs (import, sfm, align) of the scenes that are 
 left out. Writes docs/results/localise.md and .csv.
 """
 
-import csv
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -21,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
-from benchmarks.results import busy_machine, markdown_table
+from benchmarks.results import busy_machine, markdown_table, now, write_page
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.regressor import TrainedRegressor, load_regressor
 from groundwalk.features.sift import Features
@@ -360,32 +358,20 @@ def _times(
 
 def write_report(out: Path, figures: Sequence[Figure], profile: str, revision: str) -> None:
     """Write localise.md and localise.csv into the folder."""
-    out.mkdir(parents=True, exist_ok=True)
-    head = {
-        "revision": revision,
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": busy_machine(),
-        "profile": profile,
-        "seed": "0",
-        "settings": ", ".join(
-            f"{name} {value}"
-            for part in (StructureSettings(), MapSettings())
-            for name, value in part.model_dump().items()
-        ),
-    }
+    settings = (StructureSettings().model_dump() | MapSettings().model_dump()).items()
+    head = now() | {"revision": revision, "machine": busy_machine(), "profile": profile, "seed": "0"}
+    head["settings"] = ", ".join(f"{name} {value}" for name, value in settings)
     targets = {(case.name, name): bounds for case in [*CASES, _GROWTH] for name, bounds in case.targets.items()}
-    with (out / "localise.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["case", "localiser", "figure", "value", "unit", "least", "most", "met", *head])
-        for f in figures:
-            bounds = targets.get((f.case, f.name), (None, None)) if f.localiser == "Map" else (None, None)
-            met = "" if bounds == (None, None) else _met(f.value, bounds)
-            writer.writerow([f.case, f.localiser, f.name, f"{f.value:.6g}", f.unit, *bounds, met, *head.values()])
+    rows: list[list[object]] = [["case", "localiser", "figure", "value", "unit", "least", "most", "met", *head]]
+    for f in figures:
+        bounds = targets.get((f.case, f.name), (None, None)) if f.localiser == "Map" else (None, None)
+        met = "" if bounds == (None, None) else _met(f.value, bounds)
+        rows.append([f.case, f.localiser, f.name, f"{f.value:.6g}", f.unit, *bounds, met, *head.values()])
     sections = ["# Localising by structure", _HEADER, "\n".join(f"- {name}: {value}" for name, value in head.items())]
     sections += ["## Against the figures to reach", markdown_table(_target_rows(figures, targets))]
     for case in dict.fromkeys(f.case for f in figures):
         sections += [f"## {case}", markdown_table(_case_rows([f for f in figures if f.case == case]))]
-    (out / "localise.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+    write_page(out, "localise", sections, rows)
 
 
 _HEADER = f"""Written by `python -m benchmarks.localise`; not to be edited. Maps are of training frames alone, with
@@ -405,17 +391,10 @@ def _target_rows(
     for f in figures:
         bounds = targets.get((f.case, f.name))
         if bounds and f.localiser == "Map":
-            least, most = bounds
             asked = " to ".join(f"{bound:g}" for bound in bounds if bound is not None)
-            sign = "" if None not in bounds else "≥ " if most is None else "≤ "
-            verdict = _met(f.value, (least, most))
-            yield [
-                f.case,
-                f.name,
-                f"{f.value:.4g} {f.unit}",
-                sign + asked,
-                verdict if verdict == "met" else f"**{verdict}**",
-            ]
+            sign = "" if None not in bounds else "≥ " if bounds[1] is None else "≤ "
+            verdict = _met(f.value, bounds).replace("missed", "**missed**")
+            yield [f.case, f.name, f"{f.value:.4g} {f.unit}", sign + asked, verdict]
 
 
 def _case_rows(figures: Sequence[Figure]) -> Iterable[list[str]]:

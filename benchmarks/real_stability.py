@@ -1,6 +1,5 @@
 """Whether a capture keeps its outcome when it is resampled: copies with fewer images, other rates, orders and seeds."""
 
-import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,8 +9,9 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.real_figures import Run, run_stages
-from benchmarks.results import markdown_table
+from benchmarks.results import markdown_table, write_page
 from groundwalk.store.checkout import git_revision
+from groundwalk.store.files import link_or_copy
 
 _HEADER = """# Real captures, resampled
 
@@ -78,9 +78,7 @@ def write_stability(folder: Path, resampled: pd.DataFrame) -> None:
         )
     others = resampled.loc[resampled["resampling"] != _WHOLE, "agrees"]
     share = f"{others.sum()} of {len(others)} resamplings have the whole's outcome; 95 % to reach."
-    folder.mkdir(parents=True, exist_ok=True)
-    text = f"{_HEADER}\n{share}\n\n{markdown_table(rows)}\n"
-    (folder / "real-stability.md").write_text(text, encoding="utf-8")
+    write_page(folder, "real-stability", [f"{_HEADER}\n{share}", markdown_table(rows)])
 
 
 def _outcome(run: Run) -> dict[str, object]:
@@ -103,12 +101,7 @@ def _copy(source: Path, target: Path, keep: Callable[[int], np.ndarray], order_s
         left_out |= set(of_folder) - set(of_folder.iloc[keep(len(of_folder))])
     if order_seed is not None:
         paths = [paths[i] for i in np.random.default_rng(order_seed).permutation(len(paths))]
-    for path in paths:
-        if path in left_out:
-            continue
+    for path in (path for path in paths if path not in left_out):
         inside = target / path.relative_to(source)
         inside.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            os.link(path.resolve(), inside)
-        except OSError:
-            shutil.copyfile(path, inside)
+        link_or_copy(path.resolve(), inside)

@@ -16,7 +16,7 @@ import pycolmap
 import typer
 
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.database import Ints, image_id, image_names
+from groundwalk.sfm.database import create_database, image_id, image_names
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot
@@ -84,36 +84,18 @@ def stock_poses(folder: Path, frames: int) -> tuple[Array, np.ndarray]:
     return model.sfm_T_cam, model.model
 
 
-def _session_cameras(frames: pd.DataFrame, camera_model: CameraModel) -> tuple[list[pycolmap.Camera], Ints]:
-    """A camera for each session and image size, without distortion, at the median of the logged intrinsics; and which
-    of them each frame has (N,)."""
+def _with_cameras(frames: pd.DataFrame, camera_model: CameraModel) -> tuple[pd.DataFrame, dict[str, pycolmap.Camera]]:
+    """The frames in sessions of one image size each; and a camera for each of these, without distortion, at the median
+    of the logged intrinsics."""
     sizes = frames.groupby(["session_id", "width", "height"], sort=True)
-    cameras = []
+    cameras = {}
     for number, (_, rows) in enumerate(sizes):
         width, height = rows[["width", "height"]].iloc[0].tolist()
         camera = pycolmap.Camera.create_from_model_name(number + 1, camera_model, 1.0, width, height)
         camera.params = [*rows[["fx", "fy", "cx", "cy"]].median(), *np.zeros(len(camera.params) - 4)]
         camera.has_prior_focal_length = True
-        cameras.append(camera)
-    return cameras, np.asarray(sizes.ngroup(), np.int64)
-
-
-def _create_database(path: Path, names: list[str], cameras: list[pycolmap.Camera], camera_of_frame: Ints) -> None:
-    """A COLMAP database with these cameras, and one frame and image for each name with the camera of that index."""
-    with pycolmap.Database.open(path) as database, pycolmap.DatabaseTransaction(database):
-        for camera in cameras:
-            database.write_camera(camera, use_camera_id=True)
-            rig = pycolmap.Rig(rig_id=camera.camera_id)
-            rig.add_ref_sensor(camera.sensor_id)
-            database.write_rig(rig, use_rig_id=True)
-        for row, name in enumerate(names):
-            number, camera_id = image_id(row), cameras[int(camera_of_frame[row])].camera_id
-            image = pycolmap.Image(image_id=number, camera_id=camera_id, name=name)
-            frame = pycolmap.Frame(frame_id=number, rig_id=camera_id)
-            frame.add_data_id(image.data_id)
-            image.frame_id = number
-            database.write_frame(frame, use_frame_id=True)
-            database.write_image(image, use_image_id=True)
+        cameras[str(number)] = camera
+    return frames.assign(session_id=sizes.ngroup().astype(str)), cameras
 
 
 @app.command()
@@ -141,7 +123,8 @@ def main(
         source = image_file(image, root.captures(scene), root.run(profile, scene, "import"))
         (images / name).parent.mkdir(parents=True, exist_ok=True)
         (images / name).symlink_to(source.resolve())
-    _create_database(database, names, *_session_cameras(frames, camera_model))
+    of_one_size, cameras = _with_cameras(frames, camera_model)
+    create_database(database, of_one_size, names, cameras)
 
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.use_gpu = False
