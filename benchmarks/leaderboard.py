@@ -186,21 +186,20 @@ def scores(cases: Sequence[Case], methods: Sequence[str] = (), processes: int = 
 
 
 def _case_rows(case: Case, options: Mapping[str, MethodOptions]) -> list[dict[str, Any]]:
-    return [_row(case, name, chosen) for name, chosen in options.items()]
-
-
-def _row(case: Case, name: str, options: MethodOptions) -> dict[str, Any]:
-    fused = fuse_all(Run(name, "", case.model), case.walks, partial(method(name).make, options))
-    errors = stacked(error_rows(f) for f in fused)
-    row: dict[str, Any] = {"group": case.group, "scene": case.scene, "model": case.model, "method": name}
-    row |= {"causal": method(name).causal, "walks": len(case.walks), **figures(errors, "live_", len(errors))}
-    for figure, error in (("position_p95_m", "live_position_m"), ("rotation_p95_deg", "live_rotation_deg")):
-        failed = np.sort(errors[error].fillna(np.inf).to_numpy())
-        row[figure] = float(failed[int(0.95 * len(failed))])
-    inside = np.concatenate([within_bounds(f) for f in fused])
-    for i, quantity in enumerate(("position", "rotation")):
-        row[f"{quantity}_within_pct"] = 100 * float(inside[:, i].mean()) if len(inside) else np.nan
-    return row
+    rows = []
+    for name, chosen in options.items():
+        fused = fuse_all(Run(name, "", case.model), case.walks, partial(method(name).make, chosen))
+        errors = stacked(error_rows(f) for f in fused)
+        row: dict[str, Any] = {"group": case.group, "scene": case.scene, "model": case.model, "method": name}
+        row |= {"causal": method(name).causal, "walks": len(case.walks), **figures(errors, "live_", len(errors))}
+        for figure, error in (("position_p95_m", "live_position_m"), ("rotation_p95_deg", "live_rotation_deg")):
+            failed = np.sort(errors[error].fillna(np.inf).to_numpy())
+            row[figure] = float(failed[int(0.95 * len(failed))])
+        inside = np.concatenate([within_bounds(f) for f in fused])
+        for i, quantity in enumerate(("position", "rotation")):
+            row[f"{quantity}_within_pct"] = 100 * float(inside[:, i].mean()) if len(inside) else np.nan
+        rows.append(row)
+    return rows
 
 
 def within_bounds(fused: Fused) -> NDArray[np.bool_]:

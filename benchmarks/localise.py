@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
-from benchmarks.results import busy_machine, markdown_table, now, write_page
+from benchmarks.results import busy_machine, markdown_table, now, side_by_side, write_page
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.regressor import TrainedRegressor, load_regressor
 from groundwalk.features.sift import Features
@@ -370,7 +370,8 @@ def write_report(out: Path, figures: Sequence[Figure], profile: str, revision: s
     sections = ["# Localising by structure", _HEADER, "\n".join(f"- {name}: {value}" for name, value in head.items())]
     sections += ["## Against the figures to reach", markdown_table(_target_rows(figures, targets))]
     for case in dict.fromkeys(f.case for f in figures):
-        sections += [f"## {case}", markdown_table(_case_rows([f for f in figures if f.case == case]))]
+        cells = {(f.name, f.localiser): f"{f.value:.4g} {f.unit}" for f in figures if f.case == case}
+        sections += [f"## {case}", markdown_table(side_by_side(cells))]
     write_page(out, "localise", sections, rows)
 
 
@@ -395,14 +396,6 @@ def _target_rows(
             sign = "" if None not in bounds else "≥ " if bounds[1] is None else "≤ "
             verdict = _met(f.value, bounds).replace("missed", "**missed**")
             yield [f.case, f.name, f"{f.value:.4g} {f.unit}", sign + asked, verdict]
-
-
-def _case_rows(figures: Sequence[Figure]) -> Iterable[list[str]]:
-    localisers = list(dict.fromkeys(f.localiser for f in figures))
-    yield ["figure", *localisers]
-    values = {(f.name, f.localiser): f"{f.value:.4g} {f.unit}" for f in figures}
-    for name in dict.fromkeys(f.name for f in figures):
-        yield [name, *(values.get((name, localiser), "") for localiser in localisers)]
 
 
 def _met(value: float, bounds: tuple[float | None, float | None]) -> str:

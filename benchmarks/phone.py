@@ -7,7 +7,7 @@ without regard to accuracy. Writes docs/results/phone.md and .csv.
 
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,7 +18,7 @@ import typer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.results import circumstances, instruction_sets, markdown_table, write_page
+from benchmarks.results import circumstances, instruction_sets, markdown_table, side_by_side, write_page
 from groundwalk.export.phone.bundle import write_bundle
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.phone.networks import write_onnx
@@ -222,16 +222,9 @@ def _write(out: Path, figures: Sequence[Figure], notes: Sequence[str], inputs: s
     ]
     sections = [_HEAD, about, markdown_table(targets), "\n".join(f"- {note}" for note in notes)]
     for model in dict.fromkeys(f.model for f in figures):
-        sections += [f"## {model}", markdown_table(_rows([f for f in figures if f.model == model]))]
+        cells = {(f.name, f.network): f"{f.value:.3g} {f.unit}" for f in figures if f.model == model}
+        sections += [f"## {model}", markdown_table(side_by_side(cells))]
     write_page(out, "phone", sections, rows)
-
-
-def _rows(figures: Sequence[Figure]) -> Iterable[list[str]]:
-    networks = list(dict.fromkeys(f.network for f in figures))
-    yield ["figure", *networks]
-    values = {(f.name, f.network): f"{f.value:.3g} {f.unit}" for f in figures}
-    for name in dict.fromkeys(f.name for f in figures):
-        yield [name, *(values.get((name, network), "") for network in networks)]
 
 
 def _met(figure: Figure) -> str:

@@ -3,7 +3,7 @@
 import csv
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,14 @@ def markdown_table(rows: Iterable[Sequence[str]]) -> str:
     first, *rest = rows
     lines = [first, ["---"] * len(first), *rest]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)
+
+
+def side_by_side(cells: Mapping[tuple[str, str], str]) -> Iterable[list[str]]:
+    """Rows of a table of figures: a cell by its figure and column, both in the order in which they come first."""
+    columns = list(dict.fromkeys(column for _, column in cells))
+    yield ["figure", *columns]
+    for figure in dict.fromkeys(figure for figure, _ in cells):
+        yield [figure, *(cells.get((figure, column), "") for column in columns)]
 
 
 def write_page(out: Path, name: str, sections: Iterable[str], figures: Iterable[Sequence[object]] = ()) -> None:
