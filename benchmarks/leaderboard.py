@@ -136,8 +136,7 @@ def _thinned(case: Case) -> Case:
 
 
 def _late(case: Case) -> Case:
-    """The same with predictions that come so many frames after the image, as of a slow server: odometry carries each
-    to the frame at which it comes."""
+    """The same with predictions some frames late, as of a slow server: odometry carries each to when it comes."""
     walks = []
     for walk in case.walks:
         then, now = np.arange(len(walk) - _LATE), np.arange(_LATE, len(walk))

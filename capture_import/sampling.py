@@ -14,8 +14,7 @@ from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.geometry.poses import Array, relative, rotation_angle
 from groundwalk.store.hints import setting_of
 
-# Largest steps between neighbouring images of SfM: of real corridors and rooms at a frame a second, matches get few
-# beyond.
+# Largest steps between SfM's neighbouring images: matches of real corridors and rooms at 1 Hz get few beyond.
 _STEP_M, _STEP_DEG = 0.3, 15.0
 # Sampling that is this much denser and still gives too few frames won't by being denser.
 _MAX_DENSITY = 2.0**12
@@ -179,8 +178,7 @@ def motion_steps(a: Array, b: Array, step_m: float, step_deg: float) -> Array:
 
 
 def _even_steps(distances: Array, max_cuts: int) -> NDArray[np.int64]:
-    """Into how many steps (N,) to cut each of these distances for all to be 1 at most, by no more than `max_cuts` cuts,
-    the largest first."""
+    """Into how many steps (N,) to cut distances for each to be 1 at most, by `max_cuts` cuts at most, largest first."""
     steps = np.ones(len(distances), dtype=np.int64)
     largest = [(-float(distance), i) for i, distance in enumerate(distances) if distance > 1]
     heapq.heapify(largest)

@@ -120,8 +120,7 @@ def _by_camera(recording: Recording, frames: list[RawFrame], rejects: list[Rejec
 
 def with_numbered_cameras(of_recording: Sequence[list[Session]]) -> list[list[Session]]:
     """A capture's sessions, recording by recording, with cameras that no log names told apart by numbers: those of one
-    maker, model, lens, focal length and size are one, and each recording has its own where nothing states these. What a
-    camera is called in the file doesn't leave import."""
+    maker, model, lens, focal length and size are one, and each recording has its own where nothing states these."""
     numbers: dict[str, int] = {}
 
     def numbered(session: Session) -> Session:

@@ -14,8 +14,7 @@ from groundwalk.store.settings import SplitRules
 from groundwalk.store.tables import have_times
 from groundwalk.store.text import natural_order
 
-# Frames of one walk this close in time show the same place from the same side: testing on one after training on the
-# other measures memory.
+# Frames of one walk this close in time show the same place from the same side: a test beside training tests memory.
 LEAK_S = 5.0
 
 

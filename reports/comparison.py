@@ -251,8 +251,7 @@ def missing_grid(lacking: list[Missing]) -> Grid | None:
 
 
 def picture(found: list[Difference], folder: Path) -> str:
-    """The changes in percent with their intervals, as SVG, of several runs only those larger than noise, which are
-    dark; empty where there are none."""
+    """Changes in percent with intervals, as SVG, of several runs only those above noise, which are dark; or empty."""
     several = len({d.run for d in found}) > 1
     shown = [d for d in found if np.isfinite([d.percent, d.low, d.high]).all() and (d.is_clear or not several)]
     if not shown:

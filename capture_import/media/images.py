@@ -94,8 +94,7 @@ def _decode(data: bytes, colours: str, long_side: int) -> Any:
     width, height = image_size(data)
     is_gray = colours == "GRAY"
     if data.startswith(JPEG_SIGNATURE):
-        # The decoder scales while it decodes, which is faster; it still reads every byte, and strict mode reports what
-        # an ordinary decoder paints grey.
+        # To scale while decoding is faster; every byte is read, and strict mode reports what others paint grey.
         scale = min(1.0, long_side / max(width, height))
         least = {"min_height": int(height * scale), "min_width": int(width * scale)}
         try:

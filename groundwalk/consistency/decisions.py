@@ -38,7 +38,6 @@ def beyond(value: ArrayLike, sd: ArrayLike, limit: ArrayLike) -> NDArray[np.bool
 
 
 def fraction_sd(fraction: float, count: float) -> float:
-    """Standard error of a fraction of `count` independent cases: of the beta posterior under a flat prior, which isn't
-    zero where all cases agree."""
+    """Standard error of a fraction of `count` independent cases: of the beta posterior under a flat prior, never 0."""
     mean = (fraction * count + 1) / (count + 2)
     return float(np.sqrt(mean * (1 - mean) / (count + 3)))
