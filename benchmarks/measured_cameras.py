@@ -15,16 +15,13 @@ import numpy as np
 import pycolmap
 import typer
 
-from benchmarks.cost import measure
 from benchmarks.groundtruth_inputs import PROFILE, run_stage
 from benchmarks.results import circumstances, kept, markdown_table, write_page
-from benchmarks.stock import largest_model, stock_command, stock_poses
+from benchmarks.stock import largest_model, stock_cost, stock_poses
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, make_pose, rotation_angle
-from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import new_app
-from groundwalk.store.settings import resolve_settings
 from groundwalk.store.tables import poses_of, table_of
 
 app = new_app(__doc__ or "")
@@ -70,8 +67,7 @@ def _row(scene: Path, work: Path) -> list[str]:
     largest = (images["model_id"] == images["model_id"].mode()[0]).to_numpy(bool)
     ours = _off(poses_of(images, "sfm_cam"), images["fx"].to_numpy(float), largest, *true)
     stock = work / "stock" / scene.name
-    settings = resolve_settings(SfmSettings, "sfm", root, PROFILE, scene.name)
-    measure(stock_command(scene.name, PROFILE, root, stock, settings), stock)
+    stock_cost(scene.name, PROFILE, root, stock)
     cameras = pycolmap.Reconstruction(largest_model(stock) or stock).cameras.values()
     focal_px = np.full(len(frames), np.mean([camera.mean_focal_length() for camera in cameras]))
     sfm_T_cam, model_N = stock_poses(stock, len(frames))

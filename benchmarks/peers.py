@@ -16,15 +16,12 @@ from typing import Annotated, Any
 import pandas as pd
 import typer
 
-from benchmarks.cost import run_timed
 from benchmarks.real import Case, standard_cases
 from benchmarks.real_building import WALLS, wall_figures
 from benchmarks.real_figures import ALL, OURS, STOCK, Figure, Run, agreement_alone, paths_of, run_stages
 from benchmarks.results import circumstances_of, kept, markdown_table, now, write_page
-from benchmarks.stock import SPATIAL_M, stock_command
-from groundwalk.sfm.settings import SfmSettings
+from benchmarks.stock import SPATIAL_M, run_stock
 from groundwalk.store.cli import new_app
-from groundwalk.store.settings import resolve_settings
 
 app = new_app(__doc__ or "")
 
@@ -44,11 +41,8 @@ _WAYS: dict[str, tuple[str, ...]] = {
 
 def stock_figures(run: Run, folder: Path, way: str, is_of_right_angles: bool) -> list[Figure]:
     """Map the images of an imported capture with stock COLMAP in one way: coverage, agreement with VIO, cost."""
-    settings = resolve_settings(SfmSettings, "sfm", run.root, run.profile, run.scene, [])
     told = Run(run.scene, run.root, folder / "stock", run.profile)
-    command = stock_command(run.scene, run.profile, run.root, told.stock_folder, settings, *_WAYS[way])
-    folder.mkdir(parents=True, exist_ok=True)
-    status, cost = run_timed(command, told.stock_folder, folder / "log.txt")
+    status, cost = run_stock(run.scene, run.profile, run.root, told.stock_folder, *_WAYS[way])
     images = len(run.table("import", "frames"))
     figures = [Figure("processor", cost.cpu_s, "s"), Figure("wall", cost.wall_s / 60, "min")]
     figures.append(Figure("models", len(list(told.stock_folder.glob("[0-9]*"))) if not status else 0))

@@ -30,16 +30,14 @@ from benchmarks.gates import PLACES, SFM_OF_SMALL
 from benchmarks.gates import PROFILE as SMALL
 from benchmarks.gates_captures import Capture, write_capture
 from benchmarks.results import circumstances_of, markdown_table, now, write_page
-from benchmarks.stock import stock_command, stock_poses
+from benchmarks.stock import stock_cost, stock_poses
 from benchmarks.weak_captures import KINDS, write_weak_capture
 from groundwalk.capture_import.definition import STAGE as IMPORT
 from groundwalk.sfm.definition import STAGE as SFM
-from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
-from groundwalk.store.settings import resolve_settings
 from groundwalk.store.tables import read_table, table_of
 
 app = new_app(__doc__ or "")
@@ -194,13 +192,7 @@ def _cameras(scene: str, profile: str, root: DataRoot) -> dict[str, Any]:
 
 def _stock(phone: Phone, root: DataRoot, folder: Path, ours: dict[str, Any]) -> dict[str, Any]:
     """Errors and costs of stock COLMAP on the images of a case, beside `ours`."""
-    settings = resolve_settings(SfmSettings, "sfm", root, inputs.PROFILE, phone.scene, [])
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    command = stock_command(phone.scene, inputs.PROFILE, root, folder, settings)
-    status, cost = run_timed(command, folder, folder / "log.txt")
-    if status:
-        raise UserError("stock COLMAP failed", where=folder / "log.txt", found=f"exit status {status}")
+    cost = stock_cost(phone.scene, inputs.PROFILE, root, folder)
     truth = inputs.true_poses(phone.scene, root)
     metres, degrees = inputs.errors_after_sim3(*stock_poses(folder, len(truth)), truth)
     shutil.rmtree(folder)

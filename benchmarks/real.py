@@ -18,19 +18,16 @@ import pandas as pd
 import typer
 
 from benchmarks import real_figures
-from benchmarks.cost import run_timed
 from benchmarks.real_building import floor_figures, wall_figures
 from benchmarks.real_figures import Figure, Run
 from benchmarks.real_report import Result, Target, draw_case, judge, write_report
 from benchmarks.real_stability import stability_of, write_stability
 from benchmarks.results import busy_machine
-from benchmarks.stock import stock_command
-from groundwalk.sfm.settings import SfmSettings
+from benchmarks.stock import stock_cost
 from groundwalk.store import UserError
 from groundwalk.store.choices import FailureCause
 from groundwalk.store.cli import new_app
 from groundwalk.store.files import write_json
-from groundwalk.store.settings import resolve_settings
 
 app = new_app(__doc__ or "")
 
@@ -170,11 +167,7 @@ def run_case(case: Case, folder: Path, pictures: Path) -> Result:
     digest, revision = "", ""
     if run.has("import"):
         print(f"  {case.name}: stock COLMAP", flush=True)
-        settings = resolve_settings(SfmSettings, "sfm", run.root, run.profile, case.name, [])
-        command = stock_command(case.name, run.profile, run.root, run.stock_folder, settings)
-        status, run.costs[real_figures.STOCK] = run_timed(command, run.stock_folder, folder / "stock.log")
-        if status:
-            raise UserError("stock COLMAP failed", where=folder / "stock.log", found=f"exit status {status}")
+        run.costs[real_figures.STOCK] = stock_cost(case.name, run.profile, run.root, run.stock_folder)
         draw_case(pictures / f"real_{case.name}.png", f"{case.name}: {run.verdict}", real_figures.paths_of(run))
         images = "".join(sorted(run.table("import", "frames")["image_sha256"]))
         digest, revision = hashlib.sha256(images.encode()).hexdigest()[:12], run.manifest("import")["git_revision"]

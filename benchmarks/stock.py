@@ -15,13 +15,15 @@ import pandas as pd
 import pycolmap
 import typer
 
+from benchmarks.cost import Cost, run_timed
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import create_database, image_id, image_names
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.settings import SfmSettings
-from groundwalk.store import DataRoot
+from groundwalk.store import DataRoot, UserError
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.images import image_file
+from groundwalk.store.settings import resolve_settings
 from groundwalk.store.tables import poses_of, table_of
 
 MOST_EXHAUSTIVE = 600
@@ -54,14 +56,28 @@ class Pairs(StrEnum):
 app = new_app(__doc__ or "")
 
 
-def stock_command(
-    scene: str, profile: str, root: DataRoot, folder: Path, settings: SfmSettings, *options: str
-) -> list[str]:
-    """The command that maps an imported scene into `folder` with stock COLMAP; features as `settings` say."""
-    return [
+def run_stock(scene: str, profile: str, root: DataRoot, folder: Path, *options: str) -> tuple[int, Cost]:
+    """Map an imported scene into `folder` with stock COLMAP, with features as sfm's settings say: its exit status and
+    what it cost. What it prints is in <folder>.log."""
+    settings = resolve_settings(SfmSettings, "sfm", root, profile, scene, [])
+    command = [
         *(sys.executable, "-m", "benchmarks.stock", "--scene", scene, "--profile", profile, "--data", str(root.root)),
         *("--out", str(folder), "--settings", settings.model_dump_json(), *options),
     ]
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    return run_timed(command, folder, _log_of(folder))
+
+
+def stock_cost(scene: str, profile: str, root: DataRoot, folder: Path) -> Cost:
+    """What `run_stock` cost; UserError where it failed."""
+    status, cost = run_stock(scene, profile, root, folder)
+    if status:
+        raise UserError("stock COLMAP failed", where=_log_of(folder), found=f"exit status {status}")
+    return cost
+
+
+def _log_of(folder: Path) -> Path:
+    return folder.with_name(f"{folder.name}.log")
 
 
 def pairs_of(images: int) -> Pairs:
