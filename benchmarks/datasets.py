@@ -70,9 +70,7 @@ def run_scenes(captures: Path, published: pd.DataFrame, data: DataRoot, profile:
         raise UserError("there is no such folder", where=captures)
     folders = {path.name.lower(): path for path in [*captures.glob("*/*/"), *captures.glob("*/")]}
     of_scenes = published.loc[published["scene"] != "average", ["dataset", "scene"]].drop_duplicates()
-    there = [
-        (f"{PREFIXES[d]}-{s}", folders[s.lower()]) for d, s in of_scenes.itertuples(index=False) if s.lower() in folders
-    ]
+    there = [(f"{PREFIXES[d]}-{s}", folders[s.lower()]) for d, s in of_scenes.to_numpy() if s.lower() in folders]
     if not there:
         names = ", ".join(of_scenes["scene"])
         raise UserError("no scene of a public data set is there", where=captures, expected=f"folders named {names}")

@@ -150,16 +150,14 @@ def simulated_case(kind: str, scene: str, model: str) -> Case:
 # ---------------------------------------------------------------- shared
 
 
-def predicted_walk(scene: str, track: Track, map_T_cam_predicted: Array) -> Walk:
+def predicted_walk(scene: str, track: Track, predicted: Array) -> Walk:
     """A walk of a track and predictions (N, 4, 4)."""
     count = len(track.t_ns)
     gravity = np.full((count, 3), np.nan)
     there = known(track.vio_T_cam)
     gravity[there] = gravity_in_camera(track.vio_T_cam[there])
     frame_id = np.array([f"{track.name}/{i:06d}" for i in range(count)], dtype=object)
-    return Walk(
-        scene, track.name, "test", frame_id, track.t_ns, gravity, track.vio_T_cam, map_T_cam_predicted, track.map_T_cam
-    )
+    return Walk(scene, track.name, "test", frame_id, track.t_ns, gravity, track.vio_T_cam, predicted, track.map_T_cam)
 
 
 def drifting_odometry(t_ns: NDArray[np.int64], map_T_cam: Array, *seed: object) -> Array:

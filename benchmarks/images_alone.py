@@ -17,7 +17,7 @@ import pandas as pd
 import typer
 
 from benchmarks.groundtruth_inputs import PROFILE, run_stage
-from benchmarks.results import kept, markdown_table, write_page
+from benchmarks.results import CAPTURES, kept, markdown_table, write_page
 from groundwalk.geometry.fits import direction_angles, fit_sim3
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import new_app
@@ -99,9 +99,7 @@ def _run_case(capture: Path, kind: str, vio: pd.DataFrame, images: Sequence[Path
 
 @app.command()
 def main(
-    captures: Annotated[Path, typer.Option(help="Folder of capture folders, each of images with poses.")] = Path(
-        "../shared/captures"
-    ),
+    captures: Annotated[Path, typer.Option(help="Folder of capture folders, each of images with poses.")] = CAPTURES,
     work: Annotated[Path, typer.Option(help="Where it works.")] = Path("build/images_alone"),
     out: Annotated[Path, typer.Option(help="Where the page is written.")] = Path("docs/results"),
 ) -> None:

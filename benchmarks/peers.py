@@ -19,7 +19,7 @@ import typer
 from benchmarks.real import Case, standard_cases
 from benchmarks.real_building import WALLS, wall_figures
 from benchmarks.real_figures import ALL, OURS, STOCK, Figure, Run, agreement_alone, paths_of, run_stages
-from benchmarks.results import circumstances_of, kept, markdown_table, now, write_page
+from benchmarks.results import CAPTURES, circumstances_of, kept, markdown_table, now, write_page
 from benchmarks.stock import SPATIAL_M, run_stock
 from groundwalk.store.cli import new_app
 
@@ -114,9 +114,7 @@ def _our_run(case: Case, folder: Path) -> Run:
 
 @app.command()
 def main(
-    captures: Annotated[Path, typer.Option(help="Folder with chair, corridor and charuco.")] = Path(
-        "../shared/captures"
-    ),
+    captures: Annotated[Path, typer.Option(help="Folder with chair, corridor and charuco.")] = CAPTURES,
     only: Annotated[list[str] | None, typer.Option(help="Run this case alone; may be repeated.")] = None,
     work: Annotated[Path, typer.Option(help="Folder for runs and results.")] = Path("build/peers"),
     out: Annotated[Path, typer.Option(help="Folder for the tables.")] = Path("docs/results"),

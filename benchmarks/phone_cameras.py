@@ -105,12 +105,11 @@ def run_phone(phone: Phone, work: Path) -> dict[str, Any]:
     for module in ("sfm", "alignment"):
         folder = root.run(inputs.PROFILE, phone.scene, module)
         arguments = ["--scene", phone.scene, "--profile", inputs.PROFILE, "--data", str(root.root)]
-        status, cost = run_timed(
-            [sys.executable, "-m", f"groundwalk.{module}", *arguments], folder, work / f"{module}.log"
-        )
+        log = work / f"{module}.log"
+        status, cost = run_timed([sys.executable, "-m", f"groundwalk.{module}", *arguments], folder, log)
         figures |= {f"{module}_cpu_s": cost.cpu_s, f"{module}_wall_s": cost.wall_s, f"{module}_mib": cost.peak_mib}
         if status:
-            return figures | {"refused": (work / f"{module}.log").read_text(encoding="utf-8")[-2000:]}
+            return figures | {"refused": log.read_text(encoding="utf-8")[-2000:]}
     figures |= _against_truth(phone.scene, inputs.PROFILE, root)
     if phone.beside_stock:
         figures |= _stock(phone, root, work / "stock", figures)

@@ -22,7 +22,7 @@ from benchmarks.real_building import floor_figures, wall_figures
 from benchmarks.real_figures import Figure, Run
 from benchmarks.real_report import Result, Target, draw_case, judge, write_report
 from benchmarks.real_stability import stability_of, write_stability
-from benchmarks.results import busy_machine
+from benchmarks.results import CAPTURES, busy_machine
 from benchmarks.stock import stock_cost
 from groundwalk.store import UserError
 from groundwalk.store.choices import FailureCause
@@ -113,9 +113,9 @@ def named_case(folder: Path) -> Case:
 
 @app.command()
 def main(
-    captures: Annotated[Path, typer.Option(help="Folder with chair, corridor and charuco; left out if absent.")] = Path(
-        "../shared/captures"
-    ),
+    captures: Annotated[
+        Path, typer.Option(help="Folder with chair, corridor, charuco; left out if absent.")
+    ] = CAPTURES,
     capture: Annotated[list[Path] | None, typer.Option(help="A capture folder of your own; may be repeated.")] = None,
     only: Annotated[list[str] | None, typer.Option(help="Run this case alone; may be repeated.")] = None,
     stability: Annotated[

@@ -73,9 +73,8 @@ def write_stability(folder: Path, resampled: pd.DataFrame) -> None:
         same = "" if row["resampling"] == _WHOLE else "yes" if row["agrees"] else "**no**"
         truth, classes = ("" if pd.isna(row[name]) else row[name] for name in ("with_ground_truth", "classes"))
         truth = truth if truth == "" else f"{truth:.0f}"
-        rows.append(
-            [row["case"], row["resampling"], str(row["images"]), row["outcome"], truth, classes, same, row["revision"]]
-        )
+        resampling = [row["case"], row["resampling"], str(row["images"])]
+        rows.append([*resampling, row["outcome"], truth, classes, same, row["revision"]])
     others = resampled.loc[resampled["resampling"] != _WHOLE, "agrees"]
     share = f"{others.sum()} of {len(others)} resamplings have the whole's outcome; 95 % to reach."
     write_page(folder, "real-stability", [f"{_HEADER}\n{share}", markdown_table(rows)])

@@ -11,6 +11,7 @@ from typing import Any
 from groundwalk.store.checkout import git_revision
 from groundwalk.store.cores import machine
 
+CAPTURES = Path("../shared/captures")  # real ones, where there are any
 _INSTRUCTION_SETS = ("avx2", "avx_vnni", "avx512f", "avx512_vnni", "amx_int8", "asimddp", "i8mm")
 
 

@@ -74,9 +74,8 @@ def _without_vio(folder: Path, rng: np.random.Generator) -> None:
         true = read_table(path, kind).iloc[of_picture].reset_index(drop=True)
         write_table(path, true.assign(t_ns=np.arange(len(true)) * 1_000_000_000), kind)
     focal_px = float(np.exp(rng.normal(0, _GUESS_SD)) * true["fx"].median())
-    cam_T_map = inverse(
-        poses_of(read_table(folder / "true_poses.parquet", schema("simulate", "true_poses")), "map_cam")
-    )
+    true = read_table(folder / "true_poses.parquet", schema("simulate", "true_poses"))
+    cam_T_map = inverse(poses_of(true, "map_cam"))
     xyzw = Rotation.from_matrix(cam_T_map[:, :3, :3]).as_quat()
     for path in walk.glob("*.json"):
         path.unlink()

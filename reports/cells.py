@@ -215,9 +215,8 @@ def _interval(scene: SceneInputs, model: str, method: str) -> str:
     found = found[(found["subset"] == "all") & (found["figure"] == "position_median_m")][["low", "high"]].astype(float)
     if len(over) < len(errors):  # fuse's is over walks, too, in which nothing is fused
         errors_m, errors_deg = (over[f"live_{name}"].to_numpy(float) for name in ("position_m", "rotation_deg"))
-        drawn = figures_by_session(
-            over["session_id"].to_numpy(object), errors_m, errors_deg, sure_enough(over["quality"])
-        )
+        sessions = over["session_id"].to_numpy(object)
+        drawn = figures_by_session(sessions, errors_m, errors_deg, sure_enough(over["quality"]))
         found = pd.DataFrame([bounds for name, _, *bounds in drawn if name == "position_median_m"], dtype=float)
     if set(scene.errors["split"]) != {"test"} or found.empty or found.iloc[0].isna().all():
         return EMPTY
