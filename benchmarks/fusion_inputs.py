@@ -41,9 +41,6 @@ class Track:
     vio_T_cam: Array
 
 
-# ---------------------------------------------------------------- simulated walks
-
-
 def simulated_tracks(scene: str, model: VioModel = _DRIFT) -> list[Track]:
     """The scene's test walks with simulated odometry."""
     return [
@@ -56,9 +53,6 @@ def _vio(t_ns: NDArray[np.int64], map_T_cam: Array, seed: int, model: VioModel) 
     """Odometry's poses, NaN where its tracking is lost."""
     track = simulate_vio(t_ns, map_T_cam, seed, model)
     return np.where((track.tracking == "normal")[:, None, None], track.vio_T_cam, np.nan)
-
-
-# ---------------------------------------------------------------- odometry as bad as it gets
 
 
 def _jumps(scene: str) -> list[Track]:
@@ -145,9 +139,6 @@ def simulated_case(kind: str, scene: str, model: str) -> Case:
         predicted = simulate_apr(track.map_T_cam, errors, *apr_seeds(scene, model, _DRAW, track.name), amplitude)
         walks.append(predicted_walk(scene, replace(track, name=f"{track.name}~{_DRAW}"), predicted))
     return Case(kind, scene, model, tuple(walks))
-
-
-# ---------------------------------------------------------------- shared
 
 
 def predicted_walk(scene: str, track: Track, predicted: Array) -> Walk:

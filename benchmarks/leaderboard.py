@@ -67,9 +67,6 @@ class Case:
     walks: list[Walk]
 
 
-# ---------------------------------------------------------------- cases
-
-
 def cases_in(folder: Path) -> tuple[list[Case], list[str]]:
     """The cases below a folder, and lines that say where they are from. UserError where there is none."""
     places = sorted(path.parent for path in folder.rglob("predictions.parquet"))
@@ -166,9 +163,6 @@ def _cases(group: str, inputs: Inputs) -> Iterator[Case]:
             yield Case(group, inputs.scene, model, walks)
 
 
-# ---------------------------------------------------------------- figures
-
-
 def scores(cases: Sequence[Case], methods: Sequence[str] = (), processes: int = 1) -> pd.DataFrame:
     """A row a case and method, all there are if none is named: errors over all frames in time, coverage and bounds."""
     options = {name: resolve_options(name) for name in (RAW, RULE, *(methods or METHODS))}
@@ -241,9 +235,6 @@ def ratios(rows: pd.DataFrame) -> pd.DataFrame:
             row[f"{quantity} in bounds %"] = f"{inside.mean():.0f} ({inside.min():.0f})" if inside.notna().any() else ""
         listing.append(row)
     return pd.DataFrame(listing)
-
-
-# ---------------------------------------------------------------- files
 
 
 @app.command()
