@@ -148,11 +148,9 @@ def errors_of(data: DataRoot, profile: str, scene: str) -> dict[str, tuple[float
     return errors
 
 
-def _table(
-    published: pd.DataFrame, scenes: list[str], ours: dict[str, dict[str, tuple[float, float]]]
-) -> list[list[str]]:
+def _table(paper: pd.DataFrame, scenes: list[str], ours: dict[str, dict[str, tuple[float, float]]]) -> list[list[str]]:
     rows = [["method", *scenes]]
-    for method, printed in published.groupby("method", sort=False):
+    for method, printed in paper.groupby("method", sort=False):
         errors = printed.set_index("scene")[["median_position_m", "median_rotation_deg"]].dropna()
         by_scene = {str(scene): f"{m:.2f} m, {deg:.3g}°" for scene, m, deg in errors.itertuples()}
         rows.append([f"{method}, published", *(by_scene.get(scene, "") for scene in scenes)])

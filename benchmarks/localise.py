@@ -306,13 +306,11 @@ def _accuracy(case: str, localiser: str, answers: Sequence[QueryResult], truth: 
 
 
 def _honesty(case: str, localiser: str, answers: Sequence[QueryResult], truth: Array) -> Iterable[Figure]:
-    given = [
-        (a, t) for a, t in zip(answers, truth, strict=True) if a.map_T_cam is not None and a.covariance is not None
-    ]
-    if len(given) < 3:
+    sure = [(a, t) for a, t in zip(answers, truth, strict=True) if a.map_T_cam is not None and a.covariance is not None]
+    if len(sure) < 3:
         return
-    errors = np.array([pose_error(a.map_T_cam, t) for a, t in given if a.map_T_cam is not None])
-    covariances = np.array([a.covariance for a, _ in given])
+    errors = np.array([pose_error(a.map_T_cam, t) for a, t in sure if a.map_T_cam is not None])
+    covariances = np.array([a.covariance for a, _ in sure])
     rotation, position = normalised_squares(errors, covariances)
     sigma = np.sqrt(np.trace(covariances[:, 3:, 3:], axis1=1, axis2=2))
     correlation = spearmanr(sigma, np.linalg.norm(errors[:, 3:], axis=1)).statistic

@@ -94,15 +94,13 @@ def errors_and_honesty(predictions: pd.DataFrame, truth: pd.DataFrame) -> dict[s
     return figures
 
 
-def drawn_rank_correlation(covariance_N33: NDArray[np.float64]) -> float:
-    """Spearman's of covariances' sizes and of the sizes of errors that are drawn from them: of covariances that are
-    right, however little they differ from frame to frame."""
+def drawn_rank_correlation(covariance: NDArray[np.float64]) -> float:
+    """Spearman's of sizes of covariances (N, 3, 3) and of sizes of errors that are drawn from them: of covariances that
+    are right, however little they differ from frame to frame."""
     rng = np.random.default_rng(0)
-    root = np.linalg.cholesky(covariance_N33)
-    drawn = np.linalg.norm(
-        np.einsum("nij,dnj->dni", root, rng.normal(size=(_DRAWS, *covariance_N33.shape[:2]))), axis=2
-    )
-    size = np.trace(covariance_N33, axis1=1, axis2=2)
+    root = np.linalg.cholesky(covariance)
+    drawn = np.linalg.norm(np.einsum("nij,dnj->dni", root, rng.normal(size=(_DRAWS, *covariance.shape[:2]))), axis=2)
+    size = np.trace(covariance, axis1=1, axis2=2)
     return float(np.mean([spearmanr(size, of_one)[0] for of_one in drawn]))
 
 
