@@ -108,9 +108,7 @@ def _of_bundles(regressors: Sequence[TrainedRegressor], notes: list[str]) -> Ite
             yield Figure(model, network, "size", size, "MiB", TARGETS.get((model, network, "size")))
             for part in ("preprocessing", "network"):
                 times = [1e3 * answer.seconds[part] for answer in answers[_WARM_UP:]]
-                label = f"{crop} px, 2 threads, {part}"
-                yield Figure(model, network, f"{label}, median", float(np.median(times)), "ms")
-                yield Figure(model, network, f"{label}, p95", float(np.percentile(times, 95)), "ms")
+                yield from _median_and_p95(model, network, f"{crop} px, 2 threads, {part}", times)
     units = {"position": "m", "rotation": "deg"}
     of_all = {
         network: {part: np.concatenate([one[part] for one in each]) for part in units}
@@ -199,12 +197,13 @@ def _times(model: str, network: str, file: Path, threads: int, tensor: NDArray[n
         clock.append(1e3 * (time.perf_counter() - start))
         processor.append(1e3 * (time.process_time() - cpu))
     label = f"{PUBLISHED_PX} px, {threads} thread{'s' if threads > 1 else ''}"
-    of_clock, of_processor = clock[_WARM_UP:], processor[_WARM_UP:]
-    most = TARGETS.get((model, network, label))
-    yield Figure(model, network, f"{label}, median", float(np.median(of_clock)), "ms", most)
-    yield Figure(model, network, f"{label}, p95", float(np.percentile(of_clock, 95)), "ms")
-    yield Figure(model, network, f"{label}, processor, median", float(np.median(of_processor)), "ms")
-    yield Figure(model, network, f"{label}, processor, p95", float(np.percentile(of_processor, 95)), "ms")
+    for what, ms in ((label, clock), (f"{label}, processor", processor)):
+        yield from _median_and_p95(model, network, what, ms[_WARM_UP:])
+
+
+def _median_and_p95(model: str, network: str, label: str, ms: list[float]) -> Iterator[Figure]:
+    yield Figure(model, network, f"{label}, median", float(np.median(ms)), "ms", TARGETS.get((model, network, label)))
+    yield Figure(model, network, f"{label}, p95", float(np.percentile(ms, 95)), "ms")
 
 
 def _write(out: Path, figures: Sequence[Figure], notes: Sequence[str], inputs: str) -> None:

@@ -65,17 +65,13 @@ def _exponent(rows: pd.DataFrame, column: str) -> str:
     return f"{np.log(last[column] / first[column]) / np.log(last['frames'] / first['frames']):.2f}"
 
 
-def _percent(share: float | None) -> str:
-    """Empty where the model has no covariances."""
-    return "" if share is None or np.isnan(share) else f"{share:.0f} %"
-
-
 def _table(rows: pd.DataFrame) -> Iterable[list[str]]:
     yield [
         *("frames", "with ground truth", "A, B, C", "models", "position cm: median, p95", "rotation deg"),
         *("inside 95 % bounds", *(f"{stage} s (processor), MiB" for stage in _MODULES), "load", "revision"),
     ]
     for row in rows.to_dict("records"):
+        inside = row.get("position within 95 % bounds, whole")  # of a model with covariances
         yield [
             str(row["frames"]),
             f"{row['frames with ground truth']:.1f} %",
@@ -83,7 +79,7 @@ def _table(rows: pd.DataFrame) -> Iterable[list[str]]:
             str(row["models"]),
             f"{row['position error, median']:.2f}, {row['position error, 95th percentile']:.2f}",
             f"{row['rotation error, median']:.3f}",
-            _percent(row.get("position within 95 % bounds, whole")),
+            "" if pd.isna(inside) else f"{inside:.0f} %",
             *(f"{row[f'{s} s']:.0f} ({row[f'{s} cpu s']:.0f}), {row[f'{s} MiB']:.0f}" for s in _MODULES),
             *(f"{row['load']:.1f}", row["revision"]),
         ]

@@ -220,8 +220,7 @@ def _check_poses(
 
 
 def _keep_gps(r: StageRun[ImportSettings], sessions: Sequence[Session]) -> list[Session]:
-    """Write the table of positions on earth, where the user asks for it; the sessions, with rows of such that can't be
-    read among the rejects."""
+    """Write positions on earth, where the user wants them; the sessions, with rejects of unreadable positions."""
     if not r.settings.gps:
         return list(sessions)
     fixes, kept = dict[str, list[GpsFix]](), list[Session]()

@@ -68,9 +68,8 @@ class Sandbox:
 
     def copy_to(self, folder: Path) -> "Sandbox":
         """A copy whose files are hard links, to be replaced and not written into; `rewritable` makes one a file."""
-        shutil.copytree(
-            self.folder, folder, copy_function=os.link, symlinks=True, ignore=shutil.ignore_patterns("*.lock")
-        )
+        locks = shutil.ignore_patterns("*.lock")
+        shutil.copytree(self.folder, folder, copy_function=os.link, symlinks=True, ignore=locks)
         return Sandbox(folder)
 
     def state(self) -> dict[str, str]:

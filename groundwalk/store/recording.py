@@ -75,9 +75,8 @@ def _copy(source: BinaryIO, target: BinaryIO, failure: list[BaseException]) -> N
 
 def tabbed(tabs: Iterable[rrb.Container]) -> rrb.Blueprint:
     """A blueprint of tabs over the frames."""
-    return rrb.Blueprint(
-        rrb.Tabs(*tabs), rrb.TimePanel(timeline=FRAME_TIMELINE, state="collapsed"), collapse_panels=True
-    )
+    panel = rrb.TimePanel(timeline=FRAME_TIMELINE, state="collapsed")
+    return rrb.Blueprint(rrb.Tabs(*tabs), panel, collapse_panels=True)
 
 
 def set_time(stream: rr.RecordingStream, t_ns: int) -> None:
