@@ -5,7 +5,7 @@ of real regressors (benchmarks/real_predictions.py) at each number of frames a s
 `--trained FOLDER` predictions of what `python -m benchmarks.regressors` trained there, each seed a scene."""
 
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -76,7 +76,7 @@ def write_cases(folder: Path, cases: Sequence[Case]) -> None:
         place = folder / scene
         place.mkdir(parents=True, exist_ok=True)
         for name, parts in (("frames", frames), ("ground_truth", truth), ("predictions", predicted)):
-            _stacked(parts).to_parquet(place / f"{name}.parquet", index=False)
+            pd.concat(parts, ignore_index=True).to_parquet(place / f"{name}.parquet", index=False)
 
 
 def write_trained(folder: Path, trained: Path, models: Sequence[str]) -> list[str]:
@@ -93,14 +93,10 @@ def write_trained(folder: Path, trained: Path, models: Sequence[str]) -> list[st
         shutil.copy(runs[0] / "import" / "frames.parquet", place)
         shutil.copy(runs[0] / "align" / "ground_truth.parquet", place)
         predicted = [table_of(run, "train", "predictions") for run in runs]
-        _stacked(predicted).to_parquet(place / "predictions.parquet", index=False)
+        pd.concat(predicted, ignore_index=True).to_parquet(place / "predictions.parquet", index=False)
     if not names:
         raise UserError("nothing was trained there", where=trained, do="run python -m benchmarks.regressors first")
     return names
-
-
-def _stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    return pd.concat(parts, ignore_index=True)
 
 
 def _keys(walk: Walk) -> pd.DataFrame:

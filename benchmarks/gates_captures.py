@@ -1,5 +1,6 @@
 """Small simulated captures for `benchmarks.gates`: three walks over one stretch, and a corridor of look-alikes."""
 
+import shutil
 import zlib
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -55,24 +56,21 @@ def write_capture(folder: Path, capture: Capture, plan: SceneryPlan | None = Non
         plan = SceneryPlan(plan.place, replace(plan.route, speed_mps=speed_mps, spread_m=0.1, far_glances=0.0))
     work = folder.with_name(f".{folder.name}.partial")
     work.mkdir(parents=True, exist_ok=True)
-    settings = _SETTINGS
-    build_mesh(plan.place, settings.texel_m, capture.seed, lambda items, _: items).save(work / ".mesh")
+    build_mesh(plan.place, _SETTINGS.texel_m, capture.seed, lambda items, _: items).save(work / ".mesh")
     renderer = Renderer(TexturedMesh.load(work / ".mesh"))
     sessions = []
     for outline in _outlines(capture):
         target = work / outline.name
         target.mkdir(exist_ok=True)
         indoor = capture.place in (CORRIDOR, "Stairs", "Office", "Atrium")
-        session = plan_session(outline, plan, settings, indoor, renderer, target, capture.seed)
+        session = plan_session(outline, plan, _SETTINGS, indoor, renderer, target, capture.seed)
         for shot in session.shots:
-            take(shot, renderer, settings)
+            take(shot, renderer, _SETTINGS)
         write_frames(target, session.frames)
         sessions.append(session)
     write_truth(work, sessions)
     write_json(work / SIMULATED_MARKER, {"what": "Simulated capture for benchmarks.gates", **vars(capture)})
-    for path in (work / ".mesh").iterdir():
-        path.unlink()
-    (work / ".mesh").rmdir()
+    shutil.rmtree(work / ".mesh")
     work.rename(folder)
 
 
