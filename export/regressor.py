@@ -76,20 +76,9 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
     frames = pd.concat(parts, ignore_index=True).drop(columns="split")
     frames = frames.merge(answers, on=["scene", "frame_id"], how="left", validate="1:1")
     given = [np.full((6, 6), np.nan) if c is None else np.reshape(c, (6, 6)) for c in frames["covariance"]]
-    return TrainedRegressor(
-        model,
-        profile,
-        tuple(trained.scenes),
-        card,
-        trained,
-        frames,
-        tables.poses_of(frames, "map_cam"),
-        tables.poses_of(frames, "predicted"),
-        np.array(given, float),
-        worlds,
-        units,
-        bool(manifest["simulated"]),
-    )
+    poses = tables.poses_of(frames, "map_cam"), tables.poses_of(frames, "predicted"), np.array(given, float)
+    of_map = worlds, units, bool(manifest["simulated"])
+    return TrainedRegressor(model, profile, tuple(trained.scenes), card, trained, frames, *poses, *of_map)
 
 
 def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> tuple[pd.DataFrame, str, MapUnit]:
