@@ -139,22 +139,19 @@ def main(
     runs = [["", "undisturbed", "given again", "with kills"]]
     for name in clean:
         runs.append([name, *(f"{run[name]:,.0f}" for run in (clean, again, disturbed))])
-    write_page(
-        out,
-        "campaign",
-        [
-            "# Campaigns",
-            "Written by `make bench-campaign` (`python -m benchmarks.campaign`), not to be edited. Simulated places "
-            f"({', '.join(_PLACES)}), profile {_PROFILE}, import to align and report.",
-            circumstances(),
-            f"## {scenes} scenes, {kills} jobs and {kills // 10} times Snakemake killed",
-            markdown_table(runs),
-            f"Of {len(expected)} Parquet tables {len(other)} differ between the two{': ' if other else ''}"
-            f"{', '.join(other[:8])}.",
-            "## Planning",
-            markdown_table(made),
-        ],
-    )
+    sections = [
+        "# Campaigns",
+        "Written by `make bench-campaign` (`python -m benchmarks.campaign`), not to be edited. Simulated places "
+        f"({', '.join(_PLACES)}), profile {_PROFILE}, import to align and report.",
+        circumstances(),
+        f"## {scenes} scenes, {kills} jobs and {kills // 10} times Snakemake killed",
+        markdown_table(runs),
+        f"Of {len(expected)} Parquet tables {len(other)} differ between the two{': ' if other else ''}"
+        f"{', '.join(other[:8])}.",
+        "## Planning",
+        markdown_table(made),
+    ]
+    write_page(out, "campaign", sections)
 
 
 if __name__ == "__main__":

@@ -19,9 +19,8 @@ from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import MANIFEST, load_verified
-from groundwalk.store.schemas import schema
 from groundwalk.store.settings import SHIPPED_DATA
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.tables import poses_of, table_of
 
 app = new_app(__doc__ or "")
 
@@ -66,15 +65,12 @@ def main(
 
 
 def run_scenes(captures: Path, published: pd.DataFrame, data: DataRoot, profile: str) -> list[str]:
-    """Run the scenes whose folders are there up to train, one after the other; those that failed. UserError where there
-    is none."""
+    """Run the scenes whose folders are there up to train, in turn; those that failed. UserError where there is none."""
     if not captures.is_dir():
         raise UserError("there is no such folder", where=captures)
     folders = {path.name.lower(): path for path in [*captures.glob("*/*/"), *captures.glob("*/")]}
     of_scenes = published.loc[published["scene"] != "average", ["dataset", "scene"]].drop_duplicates()
-    there = [
-        (f"{PREFIXES[d]}-{s}", folders[s.lower()]) for d, s in of_scenes.itertuples(index=False) if s.lower() in folders
-    ]
+    there = [(f"{PREFIXES[d]}-{s}", folders[s.lower()]) for d, s in of_scenes.to_numpy() if s.lower() in folders]
     if not there:
         names = ", ".join(of_scenes["scene"])
         raise UserError("no scene of a public data set is there", where=captures, expected=f"folders named {names}")
@@ -89,20 +85,17 @@ def run_scenes(captures: Path, published: pd.DataFrame, data: DataRoot, profile:
 
 
 def _of_sequence(data: DataRoot, profile: str, scene: str) -> list[str]:
-    """What structure localisers, and regressors where they were trained, say of the last part of a sequence by the
-    rest of it."""
+    """What structure localisers, and regressors if trained, say of the last part of a sequence by the rest of it."""
     stages = ["import", "align", "localise"]
     if (data.run(profile, scene, "train") / MANIFEST).is_file():
         stages.append("train")
-    tables = {name: data.run(profile, scene, name) for name in stages}
-    for folder in tables.values():
-        load_verified(folder)
-    frames = read_table(tables["import"] / "frames.parquet", schema("import", "frames"))
-    truth = read_table(tables["align"] / "ground_truth.parquet", schema("align", "ground_truth")).set_index("frame_id")
-    own = read_table(tables["import"] / "reference.parquet", schema("import", "reference")).set_index("frame_id")
-    predictions = pd.concat(
-        read_table(tables[stage] / "predictions.parquet", schema(stage, "predictions")) for stage in stages[2:]
-    )
+    run = data.run(profile, scene)
+    for stage in stages:
+        load_verified(run / stage)
+    frames = table_of(run, "import", "frames")
+    truth = table_of(run, "align", "ground_truth").set_index("frame_id")
+    own = table_of(run, "import", "reference").set_index("frame_id")
+    predictions = pd.concat(table_of(run, stage, "predictions") for stage in stages[2:])
     tested = predictions[predictions["split"] == "test"]
     rows = [
         ["localiser", "test frames", "refused", "against our ground truth, median", "worst", "against its own poses"]
@@ -139,27 +132,25 @@ def _errors(found: pd.DataFrame, true: pd.DataFrame) -> pd.DataFrame:
 def errors_of(data: DataRoot, profile: str, scene: str) -> dict[str, tuple[float, float]]:
     """Median position and rotation errors against the data set's own poses on all of the scene's test frames, an image
     without an answer as an infinite one, by regressor and map localiser; {} where it hasn't been run."""
-    own = data.run(profile, scene, "import") / "reference.parquet"
-    stages = [s for s in ("localise", "train") if (data.run(profile, scene, s) / MANIFEST).is_file()]
+    run = data.run(profile, scene)
+    stages = [stage for stage in ("localise", "train") if (run / stage / MANIFEST).is_file()]
     if not stages:
         return {}
     for stage in ("import", *stages):
-        load_verified(data.run(profile, scene, stage))
-    reference = read_table(own, schema("import", "reference")).set_index("frame_id")
+        load_verified(run / stage)
+    reference = table_of(run, "import", "reference").set_index("frame_id")
     errors = {}
     for stage in stages:
-        predictions = read_table(data.run(profile, scene, stage) / "predictions.parquet", schema(stage, "predictions"))
+        predictions = table_of(run, stage, "predictions")
         for model, rows in predictions[predictions["split"] == "test"].groupby("model"):
             medians = _errors(rows, reference.loc[rows["frame_id"]]).fillna(np.inf).median()
             errors[str(model)] = float(medians["m"]), float(medians["deg"])
     return errors
 
 
-def _table(
-    published: pd.DataFrame, scenes: list[str], ours: dict[str, dict[str, tuple[float, float]]]
-) -> list[list[str]]:
+def _table(paper: pd.DataFrame, scenes: list[str], ours: dict[str, dict[str, tuple[float, float]]]) -> list[list[str]]:
     rows = [["method", *scenes]]
-    for method, printed in published.groupby("method", sort=False):
+    for method, printed in paper.groupby("method", sort=False):
         errors = printed.set_index("scene")[["median_position_m", "median_rotation_deg"]].dropna()
         by_scene = {str(scene): f"{m:.2f} m, {deg:.3g}°" for scene, m, deg in errors.itertuples()}
         rows.append([f"{method}, published", *(by_scene.get(scene, "") for scene in scenes)])

@@ -3,22 +3,29 @@
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.pose_walks import pose_walks
 from benchmarks.regressor_errors.model import apr_seeds, read_apr_models, simulate_apr
 from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.gravity import gravity_in_camera
 from groundwalk.geometry.poses import Array, inverse
+from groundwalk.simulation.scenes import scenery
+from groundwalk.simulation.session import outline
+from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.vio import FITTED, VioModel, simulate_vio, start_frame
+from groundwalk.simulation.walks import plan_walk
+from groundwalk.store import DataRoot
+from groundwalk.store.settings import SHIPPED_DATA, resolve_settings
 
 SIMULATED, KIDNAPPED, BETTER_APR = "simulated", "kidnapped", "better APR"
 
 _DRIFT = replace(FITTED, interruptions_per_min=0.0)  # import starts a new session where tracking is lost
 _AWAY_S = 60
 _DRAW = 0  # of odometry and predictions
+_SEED = 0  # of places and walks
 
 
 @dataclass(frozen=True)
@@ -41,24 +48,37 @@ class Track:
     vio_T_cam: Array
 
 
-# ---------------------------------------------------------------- simulated walks
-
-
 def simulated_tracks(scene: str, model: VioModel = _DRIFT) -> list[Track]:
     """The scene's test walks with simulated odometry."""
     return [
-        Track(w.name, w.t_ns, w.map_T_cam, _vio(w.t_ns, w.map_T_cam, _seed(scene, w.name, _DRAW), model))
-        for w in pose_walks(scene)
+        Track(name, t_ns, map_T_cam, _vio(t_ns, map_T_cam, _seed(scene, name, _DRAW), model))
+        for name, t_ns, map_T_cam in _true_walks(scene)
     ]
+
+
+@cache
+def _true_walks(scene: str) -> list[tuple[str, NDArray[np.int64], Array]]:
+    """Name, t_ns (N,) and true poses map_T_cam (N, 4, 4) of the test walks, at one pose a second, with as many images
+    as Table I lists.
+
+    The map is that of the ground truth: its origin is where the first session began. UserError for an unknown scene.
+    """
+    settings = resolve_settings(SimulateSettings, "simulate", DataRoot(SHIPPED_DATA), "paper", scene, [])
+    plan, walks = scenery(scene, _SEED), {}
+    for session in outline(settings, scene, _SEED):
+        rng = np.random.default_rng([_SEED, zlib.crc32(f"{scene}/{session.name}".encode())])
+        seconds = np.arange(session.images) / settings.image_hz
+        walk = plan_walk(plan.route, plan.place, session.images / settings.image_hz, session.side, session.start, rng)
+        t_ns = np.round((session.boot_s + seconds) * 1e9).astype(np.int64)
+        walks[session.name] = t_ns, walk.world_T_cam(seconds)
+    map_T_world = inverse(start_frame(walks[min(walks)][1][0]))
+    return [(name, t_ns, map_T_world @ poses) for name, (t_ns, poses) in walks.items() if name.startswith("test-")]
 
 
 def _vio(t_ns: NDArray[np.int64], map_T_cam: Array, seed: int, model: VioModel) -> Array:
     """Odometry's poses, NaN where its tracking is lost."""
     track = simulate_vio(t_ns, map_T_cam, seed, model)
     return np.where((track.tracking == "normal")[:, None, None], track.vio_T_cam, np.nan)
-
-
-# ---------------------------------------------------------------- odometry as bad as it gets
 
 
 def _jumps(scene: str) -> list[Track]:
@@ -134,11 +154,7 @@ BAD_ODOMETRY: dict[str, Callable[[str], list[Track]]] = {
     "dropouts": _dropouts,
     BETTER_APR: _poor,
 }
-_KINDS: dict[str, Callable[[str], list[Track]]] = {
-    SIMULATED: simulated_tracks,
-    **BAD_ODOMETRY,
-    KIDNAPPED: _kidnapped,
-}
+_KINDS: dict[str, Callable[[str], list[Track]]] = {SIMULATED: simulated_tracks, **BAD_ODOMETRY, KIDNAPPED: _kidnapped}
 
 
 def simulated_case(kind: str, scene: str, model: str) -> Case:
@@ -151,19 +167,14 @@ def simulated_case(kind: str, scene: str, model: str) -> Case:
     return Case(kind, scene, model, tuple(walks))
 
 
-# ---------------------------------------------------------------- shared
-
-
-def predicted_walk(scene: str, track: Track, map_T_cam_predicted: Array) -> Walk:
+def predicted_walk(scene: str, track: Track, predicted: Array) -> Walk:
     """A walk of a track and predictions (N, 4, 4)."""
     count = len(track.t_ns)
     gravity = np.full((count, 3), np.nan)
     there = known(track.vio_T_cam)
     gravity[there] = gravity_in_camera(track.vio_T_cam[there])
     frame_id = np.array([f"{track.name}/{i:06d}" for i in range(count)], dtype=object)
-    return Walk(
-        scene, track.name, "test", frame_id, track.t_ns, gravity, track.vio_T_cam, map_T_cam_predicted, track.map_T_cam
-    )
+    return Walk(scene, track.name, "test", frame_id, track.t_ns, gravity, track.vio_T_cam, predicted, track.map_T_cam)
 
 
 def drifting_odometry(t_ns: NDArray[np.int64], map_T_cam: Array, *seed: object) -> Array:

@@ -9,7 +9,7 @@ in position and in rotation. Writes docs/results/fusion_recovery.md and .csv.
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -43,8 +43,7 @@ _FOLLOWED = ("drift_aware", "error_state", "last_good", RULE)  # window30 and po
 @dataclass(frozen=True)
 class Trouble:
     """Something that goes wrong at a frame. spoilt: the walk with it, from a frame on. lasts_s: how long; recovery is
-    counted from its end. within_s: how soon a method should have recovered. rate: frames a second, of which one has a
-    prediction."""
+    counted from its end. within_s: how soon a method should recover. rate: frames a second, one with a prediction."""
 
     name: str
     spoilt: Callable[[Walk, int, np.random.Generator], Walk]
@@ -111,8 +110,7 @@ RATES = sorted({trouble.rate for trouble in TROUBLES})
 
 @dataclass(frozen=True)
 class Course:
-    """A method's errors on a walk, infinite without a pose, where it says that it is lost, and where an error is beyond
-    its 95 % bounds; (N,) each."""
+    """A method's errors on a walk, infinite without a pose; where it says it's lost; where beyond 95 % bounds; (N,)."""
 
     position_m: Array
     rotation_deg: Array
@@ -188,39 +186,31 @@ def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, obj
             continue
         for method in methods:
             plains = {rate: course(refined(walk, rate), method, rate) for rate in RATES}
-            rows += start_rows(scene, model, walk, method, plains[1])
+            of = {"scene": scene, "model": model, "walk": walk.session_id, "method": method}
+            rows.append(of | start_row(walk, plains[1]))
             for which, trouble in enumerate(TROUBLES):
                 rng, plain, rate = np.random.default_rng([number, which]), plains[trouble.rate], trouble.rate
                 spoilt_walk = trouble.spoilt(refined(walk, rate), rate * at, rng)
                 end = at + trouble.lasts_s
                 result = recovery(plain, course(spoilt_walk, method, rate), at, end)
-                rows.append(
-                    {
-                        "scene": scene,
-                        "model": model,
-                        "walk": walk.session_id,
-                        "method": method,
-                        "what": trouble.name,
-                        "recovered_s": result.seconds,
-                        "lost_fraction": result.said,
-                        "unsaid_s": result.unsaid_s,
-                        "off": result.off,
-                        "before_m": float(plain.position_m[at - _BEFORE_S : at].mean()),
-                    }
-                )
+                found = {
+                    "what": trouble.name,
+                    "recovered_s": result.seconds,
+                    "lost_fraction": result.said,
+                    "unsaid_s": result.unsaid_s,
+                    "off": result.off,
+                    "before_m": float(plain.position_m[at - _BEFORE_S : at].mean()),
+                }
+                rows.append(of | found)
     return rows
 
 
-def start_rows(scene: str, model: str, walk: Walk, method: str, plain: Course) -> Iterator[dict[str, object]]:
+def start_row(walk: Walk, plain: Course) -> dict[str, object]:
     """When a method gives its first pose that it doesn't call lost, and the mean errors of the first 10 s."""
     seconds = (walk.t_ns - walk.t_ns[0]) * 1e-9
     said = np.flatnonzero(np.isfinite(plain.position_m) & ~plain.lost)
     early = (seconds <= _START_S) & np.isfinite(plain.position_m)
-    yield {
-        "scene": scene,
-        "model": model,
-        "walk": walk.session_id,
-        "method": method,
+    return {
         "what": "start",
         "first_s": float(seconds[said[0]]) if len(said) else np.inf,
         "start_position_m": float(plain.position_m[early].mean()) if early.any() else np.nan,
@@ -272,16 +262,8 @@ def _page(rows: pd.DataFrame, methods: Sequence[str]) -> Iterable[str]:
 
 def _recovery_rows(rows: pd.DataFrame, methods: Sequence[str], within_s: int) -> Iterable[list[str]]:
     limit = f"within {within_s} s, %"
-    yield [
-        "method",
-        "walks",
-        "error before, m",
-        limit,
-        "median s",
-        "90 % within s",
-        "says so, %",
-        "beyond bounds unsaid, s",
-    ]
+    head = ["method", "walks", "error before, m", limit, "median s", "90 % within s", "says so, %"]
+    yield [*head, "beyond bounds unsaid, s"]
     for method in methods:
         of = rows[rows["method"] == method]
         seconds = of["recovered_s"].to_numpy(float)

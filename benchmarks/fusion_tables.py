@@ -5,7 +5,7 @@ of real regressors (benchmarks/real_predictions.py) at each number of frames a s
 `--trained FOLDER` predictions of what `python -m benchmarks.regressors` trained there, each seed a scene."""
 
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -21,8 +21,7 @@ from groundwalk.simulation.scenes import NAMES
 from groundwalk.store import UserError
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import MANIFEST
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import pose_frame, read_table
+from groundwalk.store.tables import pose_frame, table_of
 
 KINDS = (inputs.SIMULATED, *inputs.BAD_ODOMETRY, inputs.KIDNAPPED)
 app = new_app(__doc__ or "")
@@ -77,12 +76,11 @@ def write_cases(folder: Path, cases: Sequence[Case]) -> None:
         place = folder / scene
         place.mkdir(parents=True, exist_ok=True)
         for name, parts in (("frames", frames), ("ground_truth", truth), ("predictions", predicted)):
-            _stacked(parts).to_parquet(place / f"{name}.parquet", index=False)
+            pd.concat(parts, ignore_index=True).to_parquet(place / f"{name}.parquet", index=False)
 
 
 def write_trained(folder: Path, trained: Path, models: Sequence[str]) -> list[str]:
-    """The tables of each scene and seed that all of the models were trained with, and their names; UserError where
-    there is none."""
+    """Tables of each scene and seed that all of the models were trained with, and their names; UserError of none."""
     names = []
     for first in sorted(trained.glob(f"{models[0]}-[0-9]*/runs/*/*/train")):
         profile, scene, seed = first.parts[-3], first.parts[-2], first.parts[-5].removeprefix(f"{models[0]}-")
@@ -94,15 +92,11 @@ def write_trained(folder: Path, trained: Path, models: Sequence[str]) -> list[st
         place.mkdir(parents=True, exist_ok=True)
         shutil.copy(runs[0] / "import" / "frames.parquet", place)
         shutil.copy(runs[0] / "align" / "ground_truth.parquet", place)
-        predicted = [read_table(run / "train" / "predictions.parquet", schema("train", "predictions")) for run in runs]
-        _stacked(predicted).to_parquet(place / "predictions.parquet", index=False)
+        predicted = [table_of(run, "train", "predictions") for run in runs]
+        pd.concat(predicted, ignore_index=True).to_parquet(place / "predictions.parquet", index=False)
     if not names:
         raise UserError("nothing was trained there", where=trained, do="run python -m benchmarks.regressors first")
     return names
-
-
-def _stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    return pd.concat(parts, ignore_index=True)
 
 
 def _keys(walk: Walk) -> pd.DataFrame:

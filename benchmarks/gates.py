@@ -19,7 +19,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,19 +27,9 @@ import numpy as np
 import pandas as pd
 import typer
 
-from benchmarks.gates_breaking import (
-    Break,
-    focal_scaled,
-    lens_stated,
-    mirrored,
-    pictures_shuffled,
-    times_shuffled,
-    untouched,
-    vio_scaled,
-    with_walk_of,
-)
+from benchmarks import gates_breaking as breaking
 from benchmarks.gates_captures import CORRIDOR, Capture, write_capture
-from benchmarks.results import circumstances_of, markdown_table
+from benchmarks.results import circumstances_of, kept, markdown_table, now, write_page
 from groundwalk.alignment.definition import STAGE as ALIGN
 from groundwalk.capture_import.definition import STAGE as IMPORT
 from groundwalk.consistency.motions import MIRRORED, MISTAKE_REASONS, UNRELATED, UPSIDE_DOWN
@@ -49,12 +39,10 @@ from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.sfm.definition import STAGE as SFM
 from groundwalk.store import DataRoot, Stage, UserError, execute
-from groundwalk.store.checkout import git_revision
 from groundwalk.store.choices import FailureCause, Rejected
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import load_manifest
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.tables import poses_of, table_of
 from groundwalk.store.true_poses import true_poses_of
 
 PROFILE = "tiny"
@@ -89,7 +77,7 @@ class Case:
     name: str
     expected: str
     capture: Capture
-    breaking: Break = untouched
+    broken: Callable[[Path], None] | None = None
     other: Capture | None = None
     sfm: list[str] = field(default_factory=list)
 
@@ -102,16 +90,17 @@ def cases() -> Iterator[Case]:
         one = _WALKS[k % 3]
         yield Case(f"another scene {k + 1}", FailureCause.OTHER_SCENE, base, other=Capture(next_place, 1))
         flips = [(_WALKS, 1), ([one], 1), (_WALKS, 0), (_WALKS, 1), ([one], 0)][k]
-        yield Case(f"mirrored {k + 1}", FailureCause.MIRRORED_IMAGES, base, mirrored(*flips))
+        yield Case(f"mirrored {k + 1}", FailureCause.MIRRORED_IMAGES, base, partial(breaking.mirrored, *flips))
         focal = [(_WALKS, 1.1), (_WALKS, 0.9), ([one], 1.1), (_WALKS, 1.1), (_WALKS, 0.9)][k]
-        yield Case(f"intrinsics {k + 1}", FailureCause.WRONG_INTRINSICS, base, focal_scaled(*focal))
-        yield Case(f"VIO scale {k + 1}", FailureCause.WRONG_VIO_SCALE, base, vio_scaled(one, (1.1, 0.9)[k % 2]))
+        yield Case(f"intrinsics {k + 1}", FailureCause.WRONG_INTRINSICS, base, partial(breaking.focal_scaled, *focal))
+        longer = partial(breaking.vio_scaled, one, (1.1, 0.9)[k % 2])
+        yield Case(f"VIO scale {k + 1}", FailureCause.WRONG_VIO_SCALE, base, longer)
         yield Case(f"look-alike {k + 1}", FailureCause.PERCEPTUAL_ALIASING, Capture(CORRIDOR, k + 1, 1), sfm=_ALL_PAIRS)
-        shuffle = pictures_shuffled if k % 2 == 0 else times_shuffled
+        shuffle = breaking.pictures_shuffled if k % 2 == 0 else breaking.times_shuffled
         walks = [_WALKS, _WALKS, [one], [one], _WALKS][k]
-        yield Case(f"shuffled {k + 1}", FailureCause.MISMATCHED_IMAGES, base, shuffle(walks, k))
+        yield Case(f"shuffled {k + 1}", FailureCause.MISMATCHED_IMAGES, base, partial(shuffle, walks, k))
         for number in (2 * k, 2 * k + 1):
-            stated = lens_stated(*_WRONG_LENSES[number])
+            stated = partial(breaking.lens_stated, _WRONG_LENSES[number])
             yield Case(f"stated lens {number + 1}", LENS, Capture(PLACES[number % 6], 1 + number // 6), stated)
             length_m = (0.5, 0.8, 1.0, 1.5, 2.0, 3.0)[number % 6]
             short = Capture(PLACES[(number + number // 6) % 6], 20 + number, 1, length_m)
@@ -128,10 +117,10 @@ def run_case(case: Case, captures: Path) -> dict[str, Any]:
         scene = "Case"
         data.captures(scene).parent.mkdir(parents=True)
         shutil.copytree(_rendered(captures, case.capture), data.captures(scene))
-        breaking = case.breaking
+        if case.broken is not None:
+            case.broken(data.captures(scene))
         if case.other is not None:
-            breaking = with_walk_of(_rendered(captures, case.other), _WALKS[-1])
-        breaking(data.captures(scene))
+            breaking.walk_replaced(_rendered(captures, case.other), _WALKS[-1], data.captures(scene))
         fault, stage, message = _named_fault(data, scene, case)
         labels = _labels(data, scene)
     return {
@@ -142,8 +131,7 @@ def run_case(case: Case, captures: Path) -> dict[str, Any]:
         "stage": stage,
         "message": message,
         "seconds": time.monotonic() - start,
-        "revision": git_revision(),
-        "date": f"{datetime.now(UTC):%Y-%m-%d}",
+        **now(),
         **labels,
     }
 
@@ -165,17 +153,17 @@ def _named_fault(data: DataRoot, scene: str, case: Case) -> tuple[str, str, str]
             text = " ".join(str(error).split())
             return _named(text), stage.name, text
         if stage is IMPORT:
-            rejects = read_table(data.run(PROFILE, scene, "import") / "rejects.parquet", schema("import", "rejects"))
+            rejects = table_of(data.run(PROFILE, scene), "import", "rejects")
             for reason in rejects.loc[rejects["rejected"] == Rejected.RECORDING, "reason"]:
                 return _named(reason), stage.name, reason
             backward = int(rejects["reason"].str.contains(_BACKWARD).sum())
             if backward:
                 return FailureCause.MISMATCHED_IMAGES, stage.name, f"{backward} rows: {_BACKWARD}"
-    lenses = read_table(data.run(PROFILE, scene, "sfm") / "lenses.parquet", schema("sfm", "lenses"))
+    lenses = table_of(data.run(PROFILE, scene), "sfm", "lenses")
     if lenses["stated_is_wrong"].any():
         lens = lenses[lenses["stated_is_wrong"]].iloc[0]
         return LENS, "sfm", f"stated {lens['stated_k1']:g}, {lens['stated_k2']:g}; {lens['k1']:.3f}, {lens['k2']:.3f}"
-    checks = read_table(data.run(PROFILE, scene, "align") / "checks.parquet", schema("align", "checks"))
+    checks = table_of(data.run(PROFILE, scene), "align", "checks")
     failed = checks[checks["status"] == "failed"]
     # A window that fails costs its frames; a fault is what a scene or a session is told for.
     failed = failed[~failed["check"].str.startswith("window_")]
@@ -196,14 +184,13 @@ def _named(text: str) -> str:
 
 
 def _labels(data: DataRoot, scene: str) -> dict[str, Any]:
-    """What the frames of a case were given, and how right it is: how many there are, are registered, have ground truth
-    and a wrong one, the same of class A and B, have none although registered, and are right among these; and the
-    largest error given out, metres."""
-    path = data.run(PROFILE, scene, "align") / "ground_truth.parquet"
-    if not path.is_file():
+    """What the frames of a case were given, and how right it is: how many there are, are registered, have ground truth,
+    have a wrong one, both of class A and B, have none though registered, and are right among these; worst, metres."""
+    run = data.run(PROFILE, scene)
+    if not (run / "align" / "ground_truth.parquet").is_file():
         return {}
-    gt = read_table(path, schema("align", "ground_truth"))
-    images = read_table(data.run(PROFILE, scene, "sfm") / "images.parquet", schema("sfm", "images"))
+    gt = table_of(run, "align", "ground_truth")
+    images = table_of(run, "sfm", "images")
     images = gt[["frame_id"]].merge(images, on="frame_id", how="left")
     true_T_cam = true_poses_of(gt, scene, PROFILE, data)
     given, registered = (gt["quality"] != "none").to_numpy(), images["registered"].to_numpy(bool)
@@ -216,7 +203,7 @@ def _labels(data: DataRoot, scene: str) -> dict[str, Any]:
         of_model = registered & (images["model_id"] == model).to_numpy()
         _, in_model[of_model] = _errors(true_T_cam[of_model], poses_of(images, "sfm_cam")[of_model], fit_sim3)
     lost = registered & ~given
-    figures = load_manifest(data.run(PROFILE, scene, "align"))["figures"]
+    figures = load_manifest(run / "align")["figures"]
     scale_error = None
     if given.sum() >= 3 and np.isfinite(true_T_cam[given]).all():
         scale_error = 1 / fit_sim3(true_T_cam[given, :3, 3], poses_of(gt, "map_cam")[given, :3, 3]).scale - 1
@@ -274,15 +261,13 @@ def main(
     results = work / "cases"
     if again:
         shutil.rmtree(results, ignore_errors=True)
-    results.mkdir(parents=True, exist_ok=True)
     for case in cases():
         path = results / f"{case.name.replace(' ', '-')}.json"
         if not case.name.startswith(only) or path.is_file():
             continue
         if seconds and time.monotonic() - start > seconds:
             break
-        outcome = run_case(case, work / "captures")
-        path.write_text(json.dumps(outcome, indent=2) + "\n", encoding="utf-8")
+        outcome = kept(path, partial(run_case, case, work / "captures"))
         print("{case}: expected {expected}, found {fault} ({seconds:.0f} s)".format(**outcome), flush=True)
     names = [case.name for case in cases()]
     outcomes = [json.loads(path.read_text(encoding="utf-8")) for path in results.glob("*.json")]
@@ -290,9 +275,8 @@ def main(
     table = pd.DataFrame(outcomes, columns=_COLUMNS).assign(right=[_is_right(outcome) for outcome in outcomes])
     counts = _COLUMNS[_COLUMNS.index("frames") : _COLUMNS.index("worst_m")]
     table[counts] = table[counts].fillna(0).astype(int)
-    out.mkdir(parents=True, exist_ok=True)
+    write_page(out, "gates", _sections(table))
     table.to_csv(out / "gates.csv", index=False)
-    (out / "gates.md").write_text("\n\n".join(_sections(table)) + "\n", encoding="utf-8")
     print((out / "gates.md").read_text(encoding="utf-8"))
     if not table["right"].all():
         raise typer.Exit(1)

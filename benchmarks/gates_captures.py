@@ -1,6 +1,6 @@
-"""Small simulated captures for `benchmarks.gates`: three walks over the same stretch of a place, and a corridor whose
-stretches look alike."""
+"""Small simulated captures for `benchmarks.gates`: three walks over one stretch, and a corridor of look-alikes."""
 
+import shutil
 import zlib
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -48,8 +48,7 @@ class Capture:
 
 
 def write_capture(folder: Path, capture: Capture, plan: SceneryPlan | None = None) -> None:
-    """Render a capture into `folder`, which must not be there, with its true poses beside it; through `plan` where its
-    place isn't one of ours."""
+    """Render a capture into a new `folder`, its true poses beside it; through `plan` where its place isn't ours."""
     if plan is None:
         plan = _corridor(capture.seed) if capture.place == CORRIDOR else scenery(capture.place, capture.seed)
     if capture.length_m is not None:
@@ -57,24 +56,21 @@ def write_capture(folder: Path, capture: Capture, plan: SceneryPlan | None = Non
         plan = SceneryPlan(plan.place, replace(plan.route, speed_mps=speed_mps, spread_m=0.1, far_glances=0.0))
     work = folder.with_name(f".{folder.name}.partial")
     work.mkdir(parents=True, exist_ok=True)
-    settings = _SETTINGS
-    build_mesh(plan.place, settings.texel_m, capture.seed, lambda items, _: items).save(work / ".mesh")
+    build_mesh(plan.place, _SETTINGS.texel_m, capture.seed, lambda items, _: items).save(work / ".mesh")
     renderer = Renderer(TexturedMesh.load(work / ".mesh"))
     sessions = []
     for outline in _outlines(capture):
         target = work / outline.name
         target.mkdir(exist_ok=True)
         indoor = capture.place in (CORRIDOR, "Stairs", "Office", "Atrium")
-        session = plan_session(outline, plan, settings, indoor, renderer, target, capture.seed)
+        session = plan_session(outline, plan, _SETTINGS, indoor, renderer, target, capture.seed)
         for shot in session.shots:
-            take(shot, renderer, settings)
+            take(shot, renderer, _SETTINGS)
         write_frames(target, session.frames)
         sessions.append(session)
     write_truth(work, sessions)
     write_json(work / SIMULATED_MARKER, {"what": "Simulated capture for benchmarks.gates", **vars(capture)})
-    for path in (work / ".mesh").iterdir():
-        path.unlink()
-    (work / ".mesh").rmdir()
+    shutil.rmtree(work / ".mesh")
     work.rename(folder)
 
 
@@ -96,8 +92,7 @@ def _seconds(capture: Capture) -> int:
 
 
 def _corridor(seed: int) -> SceneryPlan:
-    """A straight corridor of equal stretches: the same doors, the same pictures, the same floor, again and again; one
-    notice in each is its own."""
+    """A straight corridor of equal stretches: the same doors, pictures and floor again, but for one notice in each."""
     rng = np.random.default_rng([seed, 7])
     period = float(rng.uniform(4.0, 6.0))
 

@@ -13,8 +13,7 @@ from groundwalk.geometry.poses import Array
 from groundwalk.store import DataRoot
 from groundwalk.store.choices import QualityClass
 from groundwalk.store.manifests import load_manifest
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.tables import poses_of, table_of
 from groundwalk.store.true_poses import true_poses_of
 
 PROFILE = "demo"
@@ -35,18 +34,16 @@ def simulated(scene: str, root: DataRoot, *settings: str) -> None:
 
 def true_poses(scene: str, root: DataRoot) -> Array:
     """The true map_T_cam (N, 4, 4) of the frames of an imported simulated scene."""
-    frames = read_table(root.run(PROFILE, scene, "import") / "frames.parquet", schema("import", "frames"))
-    return true_poses_of(frames, scene, PROFILE, root)
+    return true_poses_of(table_of(root.run(PROFILE, scene), "import", "frames"), scene, PROFILE, root)
 
 
 def ground_truth_targets(
     scene: str, root: DataRoot, profile: str = PROFILE
 ) -> tuple[pd.DataFrame, list[TruthTarget], int]:
-    """The ground truth of a simulated scene, how it compares with the truth, and how many frames its bounds are
-    about."""
-    folder = root.run(profile, scene, "align")
-    gt = read_table(folder / "ground_truth.parquet", schema("align", "ground_truth"))
-    return gt, *truth_targets(gt, true_poses_of(gt, scene, profile, root), load_manifest(folder)["figures"])
+    """Ground truth of a simulated scene, how it compares with the truth, and how many frames its bounds are about."""
+    run = root.run(profile, scene)
+    gt, figures = table_of(run, "align", "ground_truth"), load_manifest(run / "align")["figures"]
+    return gt, *truth_targets(gt, true_poses_of(gt, scene, profile, root), figures)
 
 
 def ground_truth_errors(gt: pd.DataFrame, scene: str, root: DataRoot, profile: str) -> Array:

@@ -5,9 +5,9 @@ copies their images as photos, writes them as a video of two frames a second, to
 VIO, which takes no part in it. Writes docs/results/images-alone.md. Cases that are done in `--work` aren't run again.
 """
 
-import json
 import shutil
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,15 +17,14 @@ import pandas as pd
 import typer
 
 from benchmarks.groundtruth_inputs import PROFILE, run_stage
-from benchmarks.results import markdown_table, write_page
+from benchmarks.results import CAPTURES, kept, markdown_table, write_page
 from groundwalk.geometry.fits import direction_angles, fit_sim3
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import new_app
 from groundwalk.store.cores import machine
 from groundwalk.store.images import read_image
 from groundwalk.store.manifests import load_manifest
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.tables import poses_of, table_of
 
 app = new_app(__doc__ or "")
 
@@ -60,7 +59,7 @@ def _vio(capture: Path, work: Path) -> pd.DataFrame:
     if not root.captures(scene).exists():
         shutil.copytree(capture, root.captures(scene) / capture.name)
         run_stage("capture_import", scene, root, 'sampling="all"')
-    return read_table(root.run(PROFILE, scene, "import") / "frames.parquet", schema("import", "frames"))
+    return table_of(root.run(PROFILE, scene), "import", "frames")
 
 
 def _run_case(capture: Path, kind: str, vio: pd.DataFrame, images: Sequence[Path], work: Path) -> dict[str, Any]:
@@ -70,8 +69,8 @@ def _run_case(capture: Path, kind: str, vio: pd.DataFrame, images: Sequence[Path
     run_stage("capture_import", scene, root)
     run_stage("sfm", scene, root)
     run_stage("alignment", scene, root)
-    truth = read_table(root.run(PROFILE, scene, "align") / "ground_truth.parquet", schema("align", "ground_truth"))
-    frames = read_table(root.run(PROFILE, scene, "import") / "frames.parquet", schema("import", "frames"))
+    truth = table_of(root.run(PROFILE, scene), "align", "ground_truth")
+    frames = table_of(root.run(PROFILE, scene), "import", "frames")
     frames = frames.set_index("frame_id").loc[truth["frame_id"]]
     names = frames["image"].map(lambda image: Path(image).stem)
     if kind == "video":
@@ -100,9 +99,7 @@ def _run_case(capture: Path, kind: str, vio: pd.DataFrame, images: Sequence[Path
 
 @app.command()
 def main(
-    captures: Annotated[Path, typer.Option(help="Folder of capture folders, each of images with poses.")] = Path(
-        "../shared/captures"
-    ),
+    captures: Annotated[Path, typer.Option(help="Folder of capture folders, each of images with poses.")] = CAPTURES,
     work: Annotated[Path, typer.Option(help="Where it works.")] = Path("build/images_alone"),
     out: Annotated[Path, typer.Option(help="Where the page is written.")] = Path("docs/results"),
 ) -> None:
@@ -112,10 +109,8 @@ def main(
         images = sorted(path for path in capture.iterdir() if path.suffix in (".jpg", ".png") and "frame" in path.name)
         vio = _vio(capture, work)
         for kind in ("photos", "video"):
-            done = work / f"{capture.name}_{kind}.json"
-            if not done.exists():
-                done.write_text(json.dumps(_run_case(capture, kind, vio, images, work)), encoding="utf-8")
-            rows.append((capture.name, kind, *(str(value) for value in json.loads(done.read_text()).values())))
+            row = kept(work / f"{capture.name}_{kind}.json", partial(_run_case, capture, kind, vio, images, work))
+            rows.append((capture.name, kind, *map(str, row.values())))
     text = (
         "Written by `make bench-images` (`python -m benchmarks.images_alone`), not to be edited. Images of real "
         f"captures without their poses, profile {PROFILE}: as photos, and as a video of {_FPS} frames a second. Off "

@@ -37,8 +37,7 @@ from groundwalk.store.cli import new_app
 from groundwalk.store.files import make_writable
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.progress import track
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import dataset_frames, read_table
+from groundwalk.store.tables import dataset_frames, table_of
 
 app = new_app(__doc__ or "")
 RAW, RULE = "raw", "paper_rule"
@@ -66,9 +65,6 @@ class Case:
     scene: str
     model: str
     walks: list[Walk]
-
-
-# ---------------------------------------------------------------- cases
 
 
 def cases_in(folder: Path) -> tuple[list[Case], list[str]]:
@@ -103,15 +99,14 @@ def cases_in(folder: Path) -> tuple[list[Case], list[str]]:
 
 
 def cases_of_runs(data: DataRoot) -> tuple[list[Case], list[str]]:
-    """Test walks of each run in the data folder that has predictions, of regressors and of structure localisers, and
-    the runs' names."""
+    """Test walks of each run in the data folder with predictions, of regressors or localisers, and the runs' names."""
     cases: list[Case] = []
     names = []
     for folder in sorted((data.root / "runs").glob("*/*")):
         if not all((folder / stage / "manifest.json").is_file() for stage in ("import", "align", "train")):
             continue
         frames, truth, *predictions = (
-            read_table(folder / stage / f"{name}.parquet", schema(stage, name))
+            table_of(folder, stage, name)
             for stage, name in (
                 ("import", "frames"),
                 ("align", "ground_truth"),
@@ -138,8 +133,7 @@ def _thinned(case: Case) -> Case:
 
 
 def _late(case: Case) -> Case:
-    """The same with predictions that come so many frames after the image, as of a slow server: odometry carries each
-    to the frame at which it comes."""
+    """The same with predictions some frames late, as of a slow server: odometry carries each to when it comes."""
     walks = []
     for walk in case.walks:
         then, now = np.arange(len(walk) - _LATE), np.arange(_LATE, len(walk))
@@ -169,9 +163,6 @@ def _cases(group: str, inputs: Inputs) -> Iterator[Case]:
             yield Case(group, inputs.scene, model, walks)
 
 
-# ---------------------------------------------------------------- figures
-
-
 def scores(cases: Sequence[Case], methods: Sequence[str] = (), processes: int = 1) -> pd.DataFrame:
     """A row a case and method, all there are if none is named: errors over all frames in time, coverage and bounds."""
     options = {name: resolve_options(name) for name in (RAW, RULE, *(methods or METHODS))}
@@ -188,21 +179,20 @@ def scores(cases: Sequence[Case], methods: Sequence[str] = (), processes: int = 
 
 
 def _case_rows(case: Case, options: Mapping[str, MethodOptions]) -> list[dict[str, Any]]:
-    return [_row(case, name, chosen) for name, chosen in options.items()]
-
-
-def _row(case: Case, name: str, options: MethodOptions) -> dict[str, Any]:
-    fused = fuse_all(Run(name, "", case.model), case.walks, partial(method(name).make, options))
-    errors = stacked(error_rows(f) for f in fused)
-    row: dict[str, Any] = {"group": case.group, "scene": case.scene, "model": case.model, "method": name}
-    row |= {"causal": method(name).causal, "walks": len(case.walks), **figures(errors, "live_", len(errors))}
-    for figure, error in (("position_p95_m", "live_position_m"), ("rotation_p95_deg", "live_rotation_deg")):
-        failed = np.sort(errors[error].fillna(np.inf).to_numpy())
-        row[figure] = float(failed[int(0.95 * len(failed))])
-    inside = np.concatenate([within_bounds(f) for f in fused])
-    for i, quantity in enumerate(("position", "rotation")):
-        row[f"{quantity}_within_pct"] = 100 * float(inside[:, i].mean()) if len(inside) else np.nan
-    return row
+    rows = []
+    for name, chosen in options.items():
+        fused = fuse_all(Run(name, "", case.model), case.walks, partial(method(name).make, chosen))
+        errors = stacked(error_rows(f) for f in fused)
+        row: dict[str, Any] = {"group": case.group, "scene": case.scene, "model": case.model, "method": name}
+        row |= {"causal": method(name).causal, "walks": len(case.walks), **figures(errors, "live_", len(errors))}
+        for figure, error in (("position_p95_m", "live_position_m"), ("rotation_p95_deg", "live_rotation_deg")):
+            failed = np.sort(errors[error].fillna(np.inf).to_numpy())
+            row[figure] = float(failed[int(0.95 * len(failed))])
+        inside = np.concatenate([within_bounds(f) for f in fused])
+        for i, quantity in enumerate(("position", "rotation")):
+            row[f"{quantity}_within_pct"] = 100 * float(inside[:, i].mean()) if len(inside) else np.nan
+        rows.append(row)
+    return rows
 
 
 def within_bounds(fused: Fused) -> NDArray[np.bool_]:
@@ -226,8 +216,7 @@ def ahead(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def ratios(rows: pd.DataFrame) -> pd.DataFrame:
-    """A row a group and method: geometric means over scenes and models of mean errors over the rule's, the worst
-    such ratio, and means of the other figures."""
+    """A row a group and method: geometric means of mean errors over the rule's, the worst ratio, others' means."""
     rule = rows[rows["method"] == RULE].set_index(KEY)[ERRORS]
     indexed = rows.set_index(KEY)
     ratio = indexed[ERRORS] / rule.reindex(indexed.index)
@@ -245,9 +234,6 @@ def ratios(rows: pd.DataFrame) -> pd.DataFrame:
             row[f"{quantity} in bounds %"] = f"{inside.mean():.0f} ({inside.min():.0f})" if inside.notna().any() else ""
         listing.append(row)
     return pd.DataFrame(listing)
-
-
-# ---------------------------------------------------------------- files
 
 
 @app.command()

@@ -5,12 +5,10 @@ truth of align. Needs finished runs (import, sfm, align) of the scenes that are 
 left out. Writes docs/results/localise.md and .csv.
 """
 
-import csv
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -21,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
-from benchmarks.results import busy_machine, markdown_table
+from benchmarks.results import busy_machine, markdown_table, now, side_by_side, write_page
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.regressor import TrainedRegressor, load_regressor
 from groundwalk.features.sift import Features
@@ -44,8 +42,7 @@ from groundwalk.store.checkout import git_revision
 from groundwalk.store.cli import new_app
 from groundwalk.store.images import image_file, read_grey_image
 from groundwalk.store.parallel import in_parallel, one_thread
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import read_table
+from groundwalk.store.tables import table_of
 
 app = new_app(__doc__ or "")
 
@@ -68,8 +65,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Case:
-    """Queries of a scene, and what the Map must reach with them: figure -> (least, most), None where there is no
-    bound."""
+    """Queries of a scene, and what the Map must reach with them: figure -> (least, most), None for no bound."""
 
     name: str
     scene: str
@@ -95,6 +91,7 @@ _HONEST: dict[str, tuple[float | None, float | None]] = {
     "within 95 % bounds": (85.0, 99.0),
     "rank correlation of sigma and error": (0.6, None),
 }
+_NONE_WRONG: dict[str, tuple[float | None, float | None]] = {"wrong answers": (None, 0.0)}
 _CHURCH = {
     "within 25 cm and 2 deg": (99.5, None),
     "median": (None, 0.5),
@@ -102,27 +99,17 @@ _CHURCH = {
     "file": (None, 2.0),
     "time, median": (None, 80.0),
     "time with a prior, median": (None, 40.0),
-    "wrong answers": (None, 0.0),
+    **_NONE_WRONG,
     **_HONEST,
 }
 CASES = [
     Case("Church", "Church", "test", _CHURCH),
-    Case(
-        "chair, every fourth",
-        "chair",
-        "every 4",
-        {"within 1 cm and 0.5 deg": (100.0, None), "wrong answers": (None, 0)},
-    ),
+    Case("chair, every fourth", "chair", "every 4", {"within 1 cm and 0.5 deg": (100.0, None), **_NONE_WRONG}),
     *(
         Case(f"charuco, {name} asked", "charuco", f"session {name}", {"within 2 cm and 0.5 deg": (100.0, None)})
         for name in ("test-lowres", "train-highres")
     ),
-    Case(
-        "corridor, every fifth",
-        "corridor",
-        "every 5",
-        {"within 25 cm and 2 deg": (80.0, None), "wrong answers": (None, 0.0)},
-    ),
+    Case("corridor, every fifth", "corridor", "every 5", {"within 25 cm and 2 deg": (80.0, None), **_NONE_WRONG}),
 ]
 _GROWTH = Case(
     "Church, growth",
@@ -138,9 +125,9 @@ _LIMITS = [(0.25, 2.0), (0.02, 0.5), (0.01, 0.5), (5.0, 10.0)]
 
 def trained_regressors(data: DataRoot, profile: str, scene: str) -> Iterator[TrainedRegressor]:
     """The regressors of a scene's train stage; none where that hasn't been run."""
-    models = data.run(profile, scene, "train") / "models.parquet"
-    if models.is_file():
-        for model in read_table(models, schema("train", "models"))["model"]:
+    run = data.run(profile, scene)
+    if (run / "train" / "models.parquet").is_file():
+        for model in table_of(run, "train", "models")["model"]:
             yield load_regressor(data, profile, scene, model)
 
 
@@ -319,13 +306,11 @@ def _accuracy(case: str, localiser: str, answers: Sequence[QueryResult], truth: 
 
 
 def _honesty(case: str, localiser: str, answers: Sequence[QueryResult], truth: Array) -> Iterable[Figure]:
-    given = [
-        (a, t) for a, t in zip(answers, truth, strict=True) if a.map_T_cam is not None and a.covariance is not None
-    ]
-    if len(given) < 3:
+    sure = [(a, t) for a, t in zip(answers, truth, strict=True) if a.map_T_cam is not None and a.covariance is not None]
+    if len(sure) < 3:
         return
-    errors = np.array([pose_error(a.map_T_cam, t) for a, t in given if a.map_T_cam is not None])
-    covariances = np.array([a.covariance for a, _ in given])
+    errors = np.array([pose_error(a.map_T_cam, t) for a, t in sure if a.map_T_cam is not None])
+    covariances = np.array([a.covariance for a, _ in sure])
     rotation, position = normalised_squares(errors, covariances)
     sigma = np.sqrt(np.trace(covariances[:, 3:, 3:], axis1=1, axis2=2))
     correlation = spearmanr(sigma, np.linalg.norm(errors[:, 3:], axis=1)).statistic
@@ -371,32 +356,21 @@ def _times(
 
 def write_report(out: Path, figures: Sequence[Figure], profile: str, revision: str) -> None:
     """Write localise.md and localise.csv into the folder."""
-    out.mkdir(parents=True, exist_ok=True)
-    head = {
-        "revision": revision,
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": busy_machine(),
-        "profile": profile,
-        "seed": "0",
-        "settings": ", ".join(
-            f"{name} {value}"
-            for part in (StructureSettings(), MapSettings())
-            for name, value in part.model_dump().items()
-        ),
-    }
+    settings = (StructureSettings().model_dump() | MapSettings().model_dump()).items()
+    head = now() | {"revision": revision, "machine": busy_machine(), "profile": profile, "seed": "0"}
+    head["settings"] = ", ".join(f"{name} {value}" for name, value in settings)
     targets = {(case.name, name): bounds for case in [*CASES, _GROWTH] for name, bounds in case.targets.items()}
-    with (out / "localise.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["case", "localiser", "figure", "value", "unit", "least", "most", "met", *head])
-        for f in figures:
-            bounds = targets.get((f.case, f.name), (None, None)) if f.localiser == "Map" else (None, None)
-            met = "" if bounds == (None, None) else _met(f.value, bounds)
-            writer.writerow([f.case, f.localiser, f.name, f"{f.value:.6g}", f.unit, *bounds, met, *head.values()])
+    rows: list[list[object]] = [["case", "localiser", "figure", "value", "unit", "least", "most", "met", *head]]
+    for f in figures:
+        bounds = targets.get((f.case, f.name), (None, None)) if f.localiser == "Map" else (None, None)
+        met = "" if bounds == (None, None) else _met(f.value, bounds)
+        rows.append([f.case, f.localiser, f.name, f"{f.value:.6g}", f.unit, *bounds, met, *head.values()])
     sections = ["# Localising by structure", _HEADER, "\n".join(f"- {name}: {value}" for name, value in head.items())]
     sections += ["## Against the figures to reach", markdown_table(_target_rows(figures, targets))]
     for case in dict.fromkeys(f.case for f in figures):
-        sections += [f"## {case}", markdown_table(_case_rows([f for f in figures if f.case == case]))]
-    (out / "localise.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+        cells = {(f.name, f.localiser): f"{f.value:.4g} {f.unit}" for f in figures if f.case == case}
+        sections += [f"## {case}", markdown_table(side_by_side(cells))]
+    write_page(out, "localise", sections, rows)
 
 
 _HEADER = f"""Written by `python -m benchmarks.localise`; not to be edited. Maps are of training frames alone, with
@@ -416,25 +390,10 @@ def _target_rows(
     for f in figures:
         bounds = targets.get((f.case, f.name))
         if bounds and f.localiser == "Map":
-            least, most = bounds
             asked = " to ".join(f"{bound:g}" for bound in bounds if bound is not None)
-            sign = "" if None not in bounds else "≥ " if most is None else "≤ "
-            verdict = _met(f.value, (least, most))
-            yield [
-                f.case,
-                f.name,
-                f"{f.value:.4g} {f.unit}",
-                sign + asked,
-                verdict if verdict == "met" else f"**{verdict}**",
-            ]
-
-
-def _case_rows(figures: Sequence[Figure]) -> Iterable[list[str]]:
-    localisers = list(dict.fromkeys(f.localiser for f in figures))
-    yield ["figure", *localisers]
-    values = {(f.name, f.localiser): f"{f.value:.4g} {f.unit}" for f in figures}
-    for name in dict.fromkeys(f.name for f in figures):
-        yield [name, *(values.get((name, localiser), "") for localiser in localisers)]
+            sign = "" if None not in bounds else "≥ " if bounds[1] is None else "≤ "
+            verdict = _met(f.value, bounds).replace("missed", "**missed**")
+            yield [f.case, f.name, f"{f.value:.4g} {f.unit}", sign + asked, verdict]
 
 
 def _met(value: float, bounds: tuple[float | None, float | None]) -> str:

@@ -6,8 +6,8 @@ high resolution imagery", CVPR 2008 (github.com/openMVG/SfM_quality_evaluation).
 docs/results/measured-cameras.md. Scenes that are done in `--work` aren't run again.
 """
 
-import json
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -16,18 +16,14 @@ import pycolmap
 import typer
 from scipy.stats import chi2
 
-from benchmarks.cost import measure
 from benchmarks.groundtruth_inputs import PROFILE, run_stage
-from benchmarks.results import circumstances, markdown_table, write_page
-from benchmarks.stock import largest_model, stock_command, stock_poses
+from benchmarks.results import circumstances, kept, markdown_table, write_page
+from benchmarks.stock import largest_model, stock_cost, stock_poses
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, make_pose, rotation_angle
-from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import new_app
-from groundwalk.store.schemas import schema
-from groundwalk.store.settings import resolve_settings
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.tables import poses_of, table_of
 
 app = new_app(__doc__ or "")
 
@@ -76,8 +72,7 @@ def _row(scene: Path, work: Path) -> list[str]:
     run_stage("capture_import", scene.name, root)
     run_stage("sfm", scene.name, root)
     run = root.run(PROFILE, scene.name)
-    frames = read_table(run / "import" / "frames.parquet", schema("import", "frames"))
-    images = read_table(run / "sfm" / "images.parquet", schema("sfm", "images"))
+    frames, images = table_of(run, "import", "frames"), table_of(run, "sfm", "images")
     order = [names.index(Path(image).name) for image in frames["image"]]
     true = true_T_cam[order], true_px[order]
     largest = (images["model_id"] == images["model_id"].mode()[0]).to_numpy(bool)
@@ -85,8 +80,7 @@ def _row(scene: Path, work: Path) -> list[str]:
     ours = _off(sfm_T_cam, images["fx"].to_numpy(float), largest, *true)
     ours.append(_inside(sfm_T_cam[largest], list(images["covariance"][largest]), true[0][largest]))
     stock = work / "stock" / scene.name
-    settings = resolve_settings(SfmSettings, "sfm", root, PROFILE, scene.name)
-    measure(stock_command(scene.name, PROFILE, root, stock, settings), stock)
+    stock_cost(scene.name, PROFILE, root, stock)
     cameras = pycolmap.Reconstruction(largest_model(stock) or stock).cameras.values()
     focal_px = np.full(len(frames), np.mean([camera.mean_focal_length() for camera in cameras]))
     stock_T_cam, model_N = stock_poses(stock, len(frames))
@@ -101,13 +95,7 @@ def main(
     out: Annotated[Path, typer.Option(help="Where the page is written.")] = Path("docs/results"),
 ) -> None:
     """Maps of photos alone, against cameras measured by laser."""
-    rows = []
-    for scene in sorted(scenes.iterdir()):
-        done = work / f"{scene.name}.json"
-        if not done.exists():
-            done.parent.mkdir(parents=True, exist_ok=True)
-            done.write_text(json.dumps(_row(scene, work)), encoding="utf-8")
-        rows.append(json.loads(done.read_text(encoding="utf-8")))
+    rows = [kept(work / f"{scene.name}.json", partial(_row, scene, work)) for scene in sorted(scenes.iterdir())]
     text = (
         "Written by `python -m benchmarks.measured_cameras`, not to be edited. Real photos without EXIF, whose cameras "
         "were measured by laser (Strecha et al., CVPR 2008): poses, focal length, principal point and lens are found "

@@ -58,23 +58,18 @@ def main(
     pictures = [f"{scene}-{figure}.png" for figure in _FIGURES for scene in scenes]
     for picture in pictures:
         shutil.copyfile(report / "figures" / picture, folder / picture)
-    write_page(
-        folder,
-        "README",
-        [
-            _HEAD.format(profile=profile),
-            circumstances_of(
-                (str(one["git_revision"]) for one in manifests.values()),
-                (one["finished"][:10] for one in manifests.values()),
-            ),
-            *((report / "tables" / f"table{number}.md").read_text(encoding="utf-8").strip() for number in (1, 2, 3)),
-            "### Figures\n\nVIO's drift over distance, and how many test frames lie within an error.",
-            *(f"![{picture.removesuffix('.png')}]({picture})" for picture in pictures),
-            "### Minutes",
-            "Of each stage on the clock, two cores without a GPU; beside other jobs, where some ran.",
-            markdown_table(minutes),
-        ],
-    )
+    revisions = (str(one["git_revision"]) for one in manifests.values())
+    sections = [
+        _HEAD.format(profile=profile),
+        circumstances_of(revisions, (one["finished"][:10] for one in manifests.values())),
+        *((report / "tables" / f"table{number}.md").read_text(encoding="utf-8").strip() for number in (1, 2, 3)),
+        "### Figures\n\nVIO's drift over distance, and how many test frames lie within an error.",
+        *(f"![{picture.removesuffix('.png')}]({picture})" for picture in pictures),
+        "### Minutes",
+        "Of each stage on the clock, two cores without a GPU; beside other jobs, where some ran.",
+        markdown_table(minutes),
+    ]
+    write_page(folder, "README", sections)
 
 
 if __name__ == "__main__":

@@ -6,27 +6,22 @@ the pairs, position priors, gravity and larger camera model that a user who has 
 and peers.csv.
 """
 
-import json
 import shutil
 from collections.abc import Iterable
 from dataclasses import asdict
-from datetime import UTC, datetime
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import pandas as pd
 import typer
 
-from benchmarks.cost import run_timed
-from benchmarks.real import standard_cases
+from benchmarks.real import Case, standard_cases
 from benchmarks.real_building import WALLS, wall_figures
 from benchmarks.real_figures import ALL, OURS, STOCK, Figure, Run, agreement_alone, paths_of, run_stages
-from benchmarks.results import circumstances_of, markdown_table, write_page
-from benchmarks.stock import SPATIAL_M, stock_command
-from groundwalk.sfm.settings import SfmSettings
-from groundwalk.store.checkout import git_revision
+from benchmarks.results import CAPTURES, circumstances_of, kept, markdown_table, now, write_page
+from benchmarks.stock import SPATIAL_M, run_stock
 from groundwalk.store.cli import new_app
-from groundwalk.store.settings import resolve_settings
 
 app = new_app(__doc__ or "")
 
@@ -46,11 +41,8 @@ _WAYS: dict[str, tuple[str, ...]] = {
 
 def stock_figures(run: Run, folder: Path, way: str, is_of_right_angles: bool) -> list[Figure]:
     """Map the images of an imported capture with stock COLMAP in one way: coverage, agreement with VIO, cost."""
-    settings = resolve_settings(SfmSettings, "sfm", run.root, run.profile, run.scene, [])
     told = Run(run.scene, run.root, folder / "stock", run.profile)
-    command = stock_command(run.scene, run.profile, run.root, told.stock_folder, settings, *_WAYS[way])
-    folder.mkdir(parents=True, exist_ok=True)
-    status, cost = run_timed(command, told.stock_folder, folder / "log.txt")
+    status, cost = run_stock(run.scene, run.profile, run.root, told.stock_folder, *_WAYS[way])
     images = len(run.table("import", "frames"))
     figures = [Figure("processor", cost.cpu_s, "s"), Figure("wall", cost.wall_s / 60, "min")]
     figures.append(Figure("models", len(list(told.stock_folder.glob("[0-9]*"))) if not status else 0))
@@ -104,11 +96,25 @@ def _table(rows: Iterable[dict[str, Any]]) -> Iterable[list[str]]:
         ]
 
 
+def _run_way(case: Case, way: str, folder: Path) -> dict[str, Any]:
+    run, of_way = _our_run(case, folder / "run"), folder / "ways" / way.replace(" ", "_")
+    print(f"{case.name}: {way}", flush=True)
+    of_way.mkdir(parents=True, exist_ok=True)
+    figures_of = our_figures if way == "ours" else partial(stock_figures, way=way)
+    figures = figures_of(run, of_way, is_of_right_angles=case.is_tiled_corridor)
+    images = len(run.table("import", "frames"))
+    return {"capture": case.name, "way": way, "images": images, **now(), "figures": [asdict(f) for f in figures]}
+
+
+@cache  # one run for all ways of a case
+def _our_run(case: Case, folder: Path) -> Run:
+    shutil.rmtree(folder, ignore_errors=True)
+    return run_stages(case.name, case.folder, folder, case.settings)
+
+
 @app.command()
 def main(
-    captures: Annotated[Path, typer.Option(help="Folder with chair, corridor and charuco.")] = Path(
-        "../shared/captures"
-    ),
+    captures: Annotated[Path, typer.Option(help="Folder with chair, corridor and charuco.")] = CAPTURES,
     only: Annotated[list[str] | None, typer.Option(help="Run this case alone; may be repeated.")] = None,
     work: Annotated[Path, typer.Option(help="Folder for runs and results.")] = Path("build/peers"),
     out: Annotated[Path, typer.Option(help="Folder for the tables.")] = Path("docs/results"),
@@ -120,31 +126,7 @@ def main(
         # Positions of several sessions have axes of their own: no priors could be given.
         if case.name not in (only or ("chair", "corridor", "charuco_test-lowres")):
             continue
-        run: Run | None = None
-        for way in ("ours", *_WAYS):
-            path = folder / f"{way}.json"
-            if not path.is_file():
-                if run is None:
-                    shutil.rmtree(folder / "run", ignore_errors=True)
-                    run = run_stages(case.name, case.folder, folder / "run", case.settings)
-                print(f"{case.name}: {way}", flush=True)
-                of_way = folder / "ways" / way.replace(" ", "_")
-                of_way.mkdir(parents=True, exist_ok=True)
-                figures = (
-                    our_figures(run, of_way, case.is_tiled_corridor)
-                    if way == "ours"
-                    else stock_figures(run, of_way, way, case.is_tiled_corridor)
-                )
-                row = {
-                    "capture": case.name,
-                    "way": way,
-                    "images": len(run.table("import", "frames")),
-                    "revision": git_revision(),
-                    "date": f"{datetime.now(UTC):%Y-%m-%d}",
-                    "figures": [asdict(figure) for figure in figures],
-                }
-                path.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
-            rows.append(json.loads(path.read_text(encoding="utf-8")))
+        rows += [kept(folder / f"{way}.json", partial(_run_way, case, way, folder)) for way in ("ours", *_WAYS)]
     sections = [
         "# Stock COLMAP, told what VIO knows",
         "Written by `python -m benchmarks.peers`, not to be edited; `peers.csv` has every figure. Measured, on captures"

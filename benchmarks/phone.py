@@ -7,7 +7,7 @@ without regard to accuracy. Writes docs/results/phone.md and .csv.
 
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,7 +18,7 @@ import typer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.results import circumstances, instruction_sets, markdown_table, write_page
+from benchmarks.results import circumstances, instruction_sets, markdown_table, side_by_side, write_page
 from groundwalk.export.phone.bundle import write_bundle
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.phone.networks import write_onnx
@@ -31,8 +31,7 @@ from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import MANIFEST, load_manifest
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import read_table
+from groundwalk.store.tables import table_of
 
 app = new_app(__doc__ or "")
 
@@ -84,7 +83,7 @@ def main(
             raise UserError("there is no finished train stage", where=folder, do=f"run the scene {scene} first")
         manifest = load_manifest(folder)
         kind = "simulated" if manifest["simulated"] else "real"
-        cards = read_table(folder / "models.parquet", schema("train", "models"))
+        cards = table_of(folder.parent, "train", "models")
         for model in cards.loc[cards["file"] != "", "model"]:
             regressor = load_regressor(root, profile, scene, str(model))
             regressors.setdefault(str(model), []).append(regressor)
@@ -109,9 +108,7 @@ def _of_bundles(regressors: Sequence[TrainedRegressor], notes: list[str]) -> Ite
             yield Figure(model, network, "size", size, "MiB", TARGETS.get((model, network, "size")))
             for part in ("preprocessing", "network"):
                 times = [1e3 * answer.seconds[part] for answer in answers[_WARM_UP:]]
-                label = f"{crop} px, 2 threads, {part}"
-                yield Figure(model, network, f"{label}, median", float(np.median(times)), "ms")
-                yield Figure(model, network, f"{label}, p95", float(np.percentile(times, 95)), "ms")
+                yield from _median_and_p95(model, network, f"{crop} px, 2 threads, {part}", times)
     units = {"position": "m", "rotation": "deg"}
     of_all = {
         network: {part: np.concatenate([one[part] for one in each]) for part in units}
@@ -200,12 +197,13 @@ def _times(model: str, network: str, file: Path, threads: int, tensor: NDArray[n
         clock.append(1e3 * (time.perf_counter() - start))
         processor.append(1e3 * (time.process_time() - cpu))
     label = f"{PUBLISHED_PX} px, {threads} thread{'s' if threads > 1 else ''}"
-    of_clock, of_processor = clock[_WARM_UP:], processor[_WARM_UP:]
-    most = TARGETS.get((model, network, label))
-    yield Figure(model, network, f"{label}, median", float(np.median(of_clock)), "ms", most)
-    yield Figure(model, network, f"{label}, p95", float(np.percentile(of_clock, 95)), "ms")
-    yield Figure(model, network, f"{label}, processor, median", float(np.median(of_processor)), "ms")
-    yield Figure(model, network, f"{label}, processor, p95", float(np.percentile(of_processor, 95)), "ms")
+    for what, ms in ((label, clock), (f"{label}, processor", processor)):
+        yield from _median_and_p95(model, network, what, ms[_WARM_UP:])
+
+
+def _median_and_p95(model: str, network: str, label: str, ms: list[float]) -> Iterator[Figure]:
+    yield Figure(model, network, f"{label}, median", float(np.median(ms)), "ms", TARGETS.get((model, network, label)))
+    yield Figure(model, network, f"{label}, p95", float(np.percentile(ms, 95)), "ms")
 
 
 def _write(out: Path, figures: Sequence[Figure], notes: Sequence[str], inputs: str) -> None:
@@ -223,16 +221,9 @@ def _write(out: Path, figures: Sequence[Figure], notes: Sequence[str], inputs: s
     ]
     sections = [_HEAD, about, markdown_table(targets), "\n".join(f"- {note}" for note in notes)]
     for model in dict.fromkeys(f.model for f in figures):
-        sections += [f"## {model}", markdown_table(_rows([f for f in figures if f.model == model]))]
+        cells = {(f.name, f.network): f"{f.value:.3g} {f.unit}" for f in figures if f.model == model}
+        sections += [f"## {model}", markdown_table(side_by_side(cells))]
     write_page(out, "phone", sections, rows)
-
-
-def _rows(figures: Sequence[Figure]) -> Iterable[list[str]]:
-    networks = list(dict.fromkeys(f.network for f in figures))
-    yield ["figure", *networks]
-    values = {(f.name, f.network): f"{f.value:.3g} {f.unit}" for f in figures}
-    for name in dict.fromkeys(f.name for f in figures):
-        yield [name, *(values.get((name, network), "") for network in networks)]
 
 
 def _met(figure: Figure) -> str:

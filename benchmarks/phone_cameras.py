@@ -16,7 +16,6 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,40 +24,26 @@ import numpy as np
 import pandas as pd
 import typer
 
+from benchmarks import groundtruth_inputs as inputs
 from benchmarks.cost import run_timed
 from benchmarks.gates import PLACES, SFM_OF_SMALL
 from benchmarks.gates import PROFILE as SMALL
 from benchmarks.gates_captures import Capture, write_capture
-from benchmarks.groundtruth_inputs import (
-    PROFILE,
-    errors_after_sim3,
-    ground_truth_errors,
-    ground_truth_targets,
-    simulated,
-    true_poses,
-)
-from benchmarks.results import circumstances_of, markdown_table, write_page
-from benchmarks.stock import stock_command, stock_poses
+from benchmarks.results import circumstances_of, markdown_table, now, write_page
+from benchmarks.stock import stock_cost, stock_poses
 from benchmarks.weak_captures import KINDS, write_weak_capture
 from groundwalk.capture_import.definition import STAGE as IMPORT
 from groundwalk.sfm.definition import STAGE as SFM
-from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import load_manifest
 from groundwalk.store.schemas import schema
-from groundwalk.store.settings import resolve_settings
-from groundwalk.store.tables import read_table
+from groundwalk.store.tables import read_table, table_of
 
 app = new_app(__doc__ or "")
 
 # Columns of sfm.lenses that are held against the truth, and those of their standard deviations.
-_ESTIMATES = {
-    "k1": "k1_sd",
-    "k2": "k2_sd",
-    "k3": "k3_sd",
-    "readout_s": "readout_sd_s",
-}
+_ESTIMATES = {"k1": "k1_sd", "k2": "k2_sd", "k3": "k3_sd", "readout_s": "readout_sd_s"}
 
 
 @dataclass(frozen=True)
@@ -115,18 +100,17 @@ def run_phone(phone: Phone, work: Path) -> dict[str, Any]:
     settings = [f"lens=[{phone.k1}, {phone.k2}, 0]", f"readout_s={phone.readout_s}"]
     settings.append(f"focus_breathing={phone.breathing}")
     settings += [] if phone.frame_fraction is None else [f"frame_fraction={phone.frame_fraction}"]
-    simulated(phone.scene, root, *settings)
+    inputs.simulated(phone.scene, root, *settings)
     figures: dict[str, Any] = {}
     for module in ("sfm", "alignment"):
-        folder = root.run(PROFILE, phone.scene, module)
-        arguments = ["--scene", phone.scene, "--profile", PROFILE, "--data", str(root.root)]
-        status, cost = run_timed(
-            [sys.executable, "-m", f"groundwalk.{module}", *arguments], folder, work / f"{module}.log"
-        )
+        folder = root.run(inputs.PROFILE, phone.scene, module)
+        arguments = ["--scene", phone.scene, "--profile", inputs.PROFILE, "--data", str(root.root)]
+        log = work / f"{module}.log"
+        status, cost = run_timed([sys.executable, "-m", f"groundwalk.{module}", *arguments], folder, log)
         figures |= {f"{module}_cpu_s": cost.cpu_s, f"{module}_wall_s": cost.wall_s, f"{module}_mib": cost.peak_mib}
         if status:
-            return figures | {"refused": (work / f"{module}.log").read_text(encoding="utf-8")[-2000:]}
-    figures |= _against_truth(phone.scene, PROFILE, root)
+            return figures | {"refused": log.read_text(encoding="utf-8")[-2000:]}
+    figures |= _against_truth(phone.scene, inputs.PROFILE, root)
     if phone.beside_stock:
         figures |= _stock(phone, root, work / "stock", figures)
     shutil.rmtree(root.root)
@@ -171,33 +155,31 @@ def _mapped(data: DataRoot, write: Callable[[Path], None], *settings: str) -> di
 
 def _against_truth(scene: str, profile: str, root: DataRoot) -> dict[str, Any]:
     """Errors and coverage of a scene's ground truth, and the cameras that were estimated beside the true ones."""
-    gt, targets, _ = ground_truth_targets(scene, root, profile)
+    gt, targets, _ = inputs.ground_truth_targets(scene, root, profile)
     classes = gt["quality"].value_counts()
     return {
         "frames": len(gt),
         **{f"class_{name}": int(classes.get(name, 0)) for name in "ABC"},
-        "frames_over_2_cm": int(np.count_nonzero(ground_truth_errors(gt, scene, root, profile) > 0.02)),
+        "frames_over_2_cm": int(np.count_nonzero(inputs.ground_truth_errors(gt, scene, root, profile) > 0.02)),
         **{target.name: target.value for target in targets},
         **_cameras(scene, profile, root),
     }
 
 
 def _cameras(scene: str, profile: str, root: DataRoot) -> dict[str, Any]:
-    """k1, k2, k3, readout time, offset of time stamps and focal length by the largest model, with their sigmas, and the
-    true ones."""
-    sfm, imported = root.run(profile, scene, "sfm"), root.run(profile, scene, "import")
-    images = read_table(sfm / "images.parquet", schema("sfm", "images"))
-    frames = read_table(imported / "frames.parquet", schema("import", "frames"))
-    sessions = read_table(imported / "sessions.parquet", schema("import", "sessions")).set_index("session_id")
+    """k1, k2, k3, readout, time offset and focal length by the largest model, with sigmas, and the true ones."""
+    run = root.run(profile, scene)
+    images, frames = table_of(run, "sfm", "images"), table_of(run, "import", "frames")
+    sessions = table_of(run, "import", "sessions").set_index("session_id")
     cameras = read_table(root.captures(scene) / "true_cameras.parquet", schema("simulate", "true_cameras"))
     keys = pd.DataFrame({"session_id": frames["session_id"].map(sessions["recording"]), "t_ns": frames["t_ns"]})
     true = keys.merge(cameras, on=["session_id", "t_ns"], how="left", validate="many_to_one")
-    lens = read_table(sfm / "lenses.parquet", schema("sfm", "lenses")).sort_values("frames").iloc[-1]
-    intrinsics = read_table(sfm / "intrinsics.parquet", schema("sfm", "intrinsics"))
+    lens = table_of(run, "sfm", "lenses").sort_values("frames").iloc[-1]
+    intrinsics = table_of(run, "sfm", "intrinsics")
     registered = images["registered"].to_numpy()
     focal_error = images["fx"].to_numpy()[registered] / true["fx"].to_numpy()[registered] - 1
     figures: dict[str, Any] = {
-        "revision": load_manifest(sfm)["git_revision"],
+        "revision": load_manifest(run / "sfm")["git_revision"],
         "registered": int(registered.sum()),
         "focal_error": float(np.median(focal_error)),
         "focal_sd": float((intrinsics["focal_scale_sd"] / intrinsics["focal_scale"]).median()),
@@ -209,15 +191,9 @@ def _cameras(scene: str, profile: str, root: DataRoot) -> dict[str, Any]:
 
 def _stock(phone: Phone, root: DataRoot, folder: Path, ours: dict[str, Any]) -> dict[str, Any]:
     """Errors and costs of stock COLMAP on the images of a case, beside `ours`."""
-    settings = resolve_settings(SfmSettings, "sfm", root, PROFILE, phone.scene, [])
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    command = stock_command(phone.scene, PROFILE, root, folder, settings)
-    status, cost = run_timed(command, folder, folder / "log.txt")
-    if status:
-        raise UserError("stock COLMAP failed", where=folder / "log.txt", found=f"exit status {status}")
-    truth = true_poses(phone.scene, root)
-    metres, degrees = errors_after_sim3(*stock_poses(folder, len(truth)), truth)
+    cost = stock_cost(phone.scene, inputs.PROFILE, root, folder)
+    truth = inputs.true_poses(phone.scene, root)
+    metres, degrees = inputs.errors_after_sim3(*stock_poses(folder, len(truth)), truth)
     shutil.rmtree(folder)
     return {
         "stock_registered": len(metres),
@@ -239,7 +215,7 @@ def _run_parts(cases: dict[tuple[str, str], Callable[[Path], dict[str, Any]]], s
         folder = work / part / name
         folder.mkdir(parents=True, exist_ok=True)
         begun = time.monotonic()
-        figures = run(folder) | {"date": f"{datetime.now(UTC):%Y-%m-%d}", "load": os.getloadavg()[0]}
+        figures = run(folder) | {"date": now()["date"], "load": os.getloadavg()[0]}
         path.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
         shutil.rmtree(folder)
         print(f"{part} {name}: {time.monotonic() - begun:.0f} s", flush=True)
@@ -337,11 +313,8 @@ def _walks_table(rows: list[dict[str, Any]]) -> Iterable[list[str]]:
         yield [f"{name} inside its 95 % bounds", f"{inside} of {known.sum()}", "85 to 99 %"]
         yield [f"{name} error, RMS", f"{np.sqrt(np.mean(error[known] ** 2)):.5f}", ""]
     focal = 100 * np.abs([row["focal_error"] for row in estimated])
-    yield [
-        "focal length error, median, 95th percentile, %",
-        f"{np.median(focal):.2f}, {np.percentile(focal, 95):.2f}",
-        "≤ 0.3",
-    ]
+    of_all = f"{np.median(focal):.2f}, {np.percentile(focal, 95):.2f}"
+    yield ["focal length error, median, 95th percentile, %", of_all, "≤ 0.3"]
     p95_cm = np.array([row["position error, 95th percentile"] for row in given])
     yield [
         "ground truth p95 of a capture, cm: median of captures, captures over 2 cm",
@@ -364,15 +337,8 @@ def _walks_table(rows: list[dict[str, Any]]) -> Iterable[list[str]]:
 
 
 def _weak_table(rows: list[dict[str, Any]]) -> Iterable[list[str]]:
-    yield [
-        "kind",
-        "captures",
-        "refused",
-        "focal length inside its 95 % bounds",
-        "error %: RMS",
-        "stated %: median",
-        "k1",
-    ]
+    inside = "focal length inside its 95 % bounds"
+    yield ["kind", "captures", "refused", inside, "error %: RMS", "stated %: median", "k1"]
     for kind in (*KINDS, "all"):
         of_kind = [row for row in rows if kind in ("all", row["kind"])]
         given = pd.DataFrame([row for row in of_kind if "refused" not in row])
@@ -430,14 +396,10 @@ def _write(work: Path, out: Path) -> bool:
             "models inconsistent with VIO and would go on to further ones. To reach: 85 to 99 % inside.",
             markdown_table(_weak_table(weak)),
         ]
-    figures = [
-        (part, row["case"], name, row[name])
-        for part, rows in parts.items()
-        for row in rows
-        for name in row
-        if name != "case"
-    ]
-    write_page(out, "phone-cameras", sections, [("part", "case", "figure", "value"), *figures])
+    figures: list[tuple[Any, ...]] = [("part", "case", "figure", "value")]
+    for part, rows in parts.items():
+        figures += [(part, row["case"], name, row[name]) for row in rows for name in row if name != "case"]
+    write_page(out, "phone-cameras", sections, figures)
     return not any("refused" in row or _missed(row) for row in grid)
 
 

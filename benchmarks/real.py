@@ -17,35 +17,17 @@ from typing import Annotated
 import pandas as pd
 import typer
 
-from benchmarks.cost import run_timed
+from benchmarks import real_figures
 from benchmarks.real_building import floor_figures, wall_figures
-from benchmarks.real_figures import (
-    COMMON,
-    HELD_OUT,
-    HELD_OUT_RMS,
-    POSITION,
-    RATIO,
-    STOCK,
-    WITHIN_BOUNDS,
-    Figure,
-    Run,
-    board_figures,
-    depth_figures,
-    figures_of,
-    paths_of,
-    run_stage,
-    run_stages,
-)
+from benchmarks.real_figures import Figure, Run
 from benchmarks.real_report import Result, Target, draw_case, judge, write_report
 from benchmarks.real_stability import stability_of, write_stability
-from benchmarks.results import busy_machine
-from benchmarks.stock import stock_command
-from groundwalk.sfm.settings import SfmSettings
+from benchmarks.results import CAPTURES, busy_machine
+from benchmarks.stock import stock_cost
 from groundwalk.store import UserError
 from groundwalk.store.choices import FailureCause
 from groundwalk.store.cli import new_app
 from groundwalk.store.files import write_json
-from groundwalk.store.settings import resolve_settings
 
 app = new_app(__doc__ or "")
 
@@ -63,14 +45,14 @@ _ONE_MODEL = Target("models", 1)
 _WINDOWS = Target("largest residual to VIO in a window", 0.15, "m")
 _BOARD = (
     Target("share of images registered", 98, "%", at_least=True),
-    Target(WITHIN_BOUNDS, 1),
-    Target(HELD_OUT, 0.3, "%"),
-    Target(HELD_OUT_RMS, 1, "mm"),
+    Target(real_figures.WITHIN_BOUNDS, 1),
+    Target(real_figures.HELD_OUT, 0.3, "%"),
+    Target(real_figures.HELD_OUT_RMS, 1, "mm"),
 )
 _AGAINST_STOCK = (
-    Target(POSITION, 1.05, "", way=RATIO, every_subject=True),
-    Target(f"{COMMON}, rotation median", 1.05, "", way=RATIO, every_subject=True),
-    Target("processor", 0.5, "", way=RATIO),
+    Target(real_figures.POSITION, 1.05, "", way=real_figures.RATIO, every_subject=True),
+    Target(f"{real_figures.COMMON}, rotation median", 1.05, "", way=real_figures.RATIO, every_subject=True),
+    Target("processor", 0.5, "", way=real_figures.RATIO),
 )
 _TARGETS = {
     "chair": (
@@ -131,9 +113,9 @@ def named_case(folder: Path) -> Case:
 
 @app.command()
 def main(
-    captures: Annotated[Path, typer.Option(help="Folder with chair, corridor and charuco; left out if absent.")] = Path(
-        "../shared/captures"
-    ),
+    captures: Annotated[
+        Path, typer.Option(help="Folder with chair, corridor, charuco; left out if absent.")
+    ] = CAPTURES,
     capture: Annotated[list[Path] | None, typer.Option(help="A capture folder of your own; may be repeated.")] = None,
     only: Annotated[list[str] | None, typer.Option(help="Run this case alone; may be repeated.")] = None,
     stability: Annotated[
@@ -181,26 +163,24 @@ def _loaded(path: Path) -> Result:
 def run_case(case: Case, folder: Path, pictures: Path) -> Result:
     """Run a case and stock COLMAP beside it, in `folder`, which is emptied; draw its picture."""
     shutil.rmtree(folder, ignore_errors=True)
-    run = run_stages(case.name, case.folder, folder, case.settings)
+    run = real_figures.run_stages(case.name, case.folder, folder, case.settings)
     digest, revision = "", ""
     if run.has("import"):
         print(f"  {case.name}: stock COLMAP", flush=True)
-        settings = resolve_settings(SfmSettings, "sfm", run.root, run.profile, case.name, [])
-        command = stock_command(case.name, run.profile, run.root, run.stock_folder, settings)
-        status, run.costs[STOCK] = run_timed(command, run.stock_folder, folder / "stock.log")
-        if status:
-            raise UserError("stock COLMAP failed", where=folder / "stock.log", found=f"exit status {status}")
-        draw_case(pictures / f"real_{case.name}.png", f"{case.name}: {run.verdict}", paths_of(run))
+        run.costs[real_figures.STOCK] = stock_cost(case.name, run.profile, run.root, run.stock_folder)
+        draw_case(pictures / f"real_{case.name}.png", f"{case.name}: {run.verdict}", real_figures.paths_of(run))
         images = "".join(sorted(run.table("import", "frames")["image_sha256"]))
         digest, revision = hashlib.sha256(images.encode()).hexdigest()[:12], run.manifest("import")["git_revision"]
-    figures = figures_of(run)
+    figures = real_figures.figures_of(run)
     failed, verdict = _failed_checks(run), run.verdict  # without the board
     if run.has("align"):
-        figures += depth_figures(run.table("align", "depth_agreement"))
+        figures += real_figures.depth_figures(run.table("align", "depth_agreement"))
         if case.is_tiled_corridor:
             figures += wall_figures(run, pictures / f"real_{case.name}_walls.png") + floor_figures(run)
         if case.board:
-            figures += board_figures(*(_align_with(case.board, run, use_for_scale=use) for use in (False, True)))
+            figures += real_figures.board_figures(
+                *(_align_with(case.board, run, use_for_scale=use) for use in (False, True))
+            )
     return Result(
         case=case.name,
         capture=case.folder.resolve().name,
@@ -229,13 +209,12 @@ def _failed_checks(run: Run) -> list[str]:
 
 
 def _align_with(board: str, run: Run, *, use_for_scale: bool) -> pd.DataFrame:
-    """The rulers' table after align once more with the case's board, in place: costs and checks of the case are those
-    without it."""
+    """The rulers' table after align again with the case's board, in place: costs and checks are those without it."""
     scene = run.root.root / "scenes" / f"{run.scene}.toml"
     scene.parent.mkdir(exist_ok=True)
     scene.write_text(f"{board}use_for_scale = {str(use_for_scale).lower()}\n", encoding="utf-8")
     log = run.root.root / "align_board.log"
-    status, _ = run_stage(run, "align", log)
+    status, _ = real_figures.run_stage(run, "align", log)
     if status:
         raise UserError("align failed with the board", where=log, found=f"exit status {status}")
     return run.table("align", "rulers")

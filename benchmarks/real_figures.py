@@ -161,9 +161,7 @@ def _ground_truth_figures(run: Run) -> list[Figure]:
     figures.append(Figure("support frames", len(images) - dataset))
     for stage, rows in _OF_MANIFESTS.items():
         values = run.manifest(stage)["figures"] if run.has(stage) else {}
-        figures += [
-            Figure(name, factor * values[key], unit) for name, key, unit, factor in rows if values.get(key) is not None
-        ]
+        figures += [Figure(name, by * values[key], unit) for name, key, unit, by in rows if values.get(key) is not None]
         if stage == "sfm" and values:
             figures.append(Figure("share of images registered", 100 * values["registered"] / len(images), "%"))
         if stage == "align" and values:
@@ -318,7 +316,7 @@ def paths_of(run: Run) -> Paths:
     model: ground truth is SfM's poses moved by a similarity."""
     frames = run.table("import", "frames")
     count = len(frames)
-    ours_T_cam, ours_model = np.full((count, 4, 4), np.nan), np.full(count, -1)
+    ours_T_cam, ours_model = nothing = np.full((count, 4, 4), np.nan), np.full(count, -1)
     if run.has("sfm"):
         images = run.table("sfm", "images")
         ours_T_cam, ours_model = poses_of(images, "sfm_cam"), pd.factorize(images["model_id"])[0]
@@ -327,9 +325,7 @@ def paths_of(run: Run) -> Paths:
         refused = frames["frame_id"].map(truth).fillna("none").to_numpy() == "none"
         ours_model = np.where(refused, -1, ours_model)
     stock = run.stock_model(count)
-    stock_T_cam, stock_model = (
-        (stock.sfm_T_cam, stock.model) if stock else (np.full((count, 4, 4), np.nan), np.full(count, -1))
-    )
+    stock_T_cam, stock_model = (stock.sfm_T_cam, stock.model) if stock else nothing
     session, t_ns = frames["session_id"].to_numpy(object), frames["t_ns"].to_numpy(np.int64)
     rows = np.lexsort([t_ns, session.astype(str)])
     rows = rows[~frames["support"].to_numpy(bool)[rows]]
@@ -484,9 +480,8 @@ def depth_figures(agreement: pd.DataFrame) -> list[Figure]:
     figures = list[Figure]()
     agreement = agreement[agreement["samples"] >= _MIN_POINTS].astype({"confidence": object})
     for row in agreement.to_dict("records"):
-        distance = (
-            f"{row['near_m']:g} m or more" if pd.isna(row["far_m"]) else f"{row['near_m']:g} to {row['far_m']:g} m"
-        )
+        near_m, far_m = row["near_m"], row["far_m"]
+        distance = f"{near_m:g} m or more" if pd.isna(far_m) else f"{near_m:g} to {far_m:g} m"
         subject = f"{row['session_id']}, {distance}"
         subject += f", model {row['component'] + 1}" if row["component"] else ""
         confidence = CONFIDENCES[0 if pd.isna(row["confidence"]) else 1 + int(row["confidence"])]

@@ -1,7 +1,5 @@
 """Tables and pictures of the real benchmark's results: real.md, real.csv and a picture of each case."""
 
-import csv
-import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,7 +28,7 @@ from benchmarks.real_figures import (
     Paths,
     placed_alone,
 )
-from benchmarks.results import markdown_table
+from benchmarks.results import markdown_table, write_page
 from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, VIO
 
 Rows = list[list[str]]
@@ -112,7 +110,6 @@ def judge(figures: Sequence[Figure], target: Target) -> tuple[float | None, bool
 
 def write_report(folder: Path, results: Sequence[Result]) -> None:
     """Write real.md and real.csv into the folder."""
-    folder.mkdir(parents=True, exist_ok=True)
     sections = [_HEADER]
     for title, text, rows_of in _SECTIONS:
         head, *rows = (row for number, result in enumerate(results) for row in rows_of(result)[bool(number) :])
@@ -123,18 +120,15 @@ def write_report(folder: Path, results: Sequence[Result]) -> None:
         for suffix, what in (("", "plan and residuals to VIO"), ("_walls", "directions of walls"))
         if (path := folder / f"real_{result.case}{suffix}.png").is_file()
     ]
-    (folder / "real.md").write_text("\n\n".join([*sections, "## Pictures", *pictures]) + "\n", encoding="utf-8")
-    (folder / "real.csv").write_text(csv_text(results), encoding="utf-8")
+    write_page(folder, "real", [*sections, "## Pictures", *pictures], _figure_rows(results))
 
 
-def csv_text(results: Iterable[Result]) -> str:
+def _figure_rows(results: Iterable[Result]) -> Iterable[list[str]]:
     """One row a figure, and one a case's verdict; where a figure has a target, that and whether it's met."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["case", "way", "subject", "figure", "value", "unit", "target", "met", "revision", "date"])
+    yield ["case", "way", "subject", "figure", "value", "unit", "target", "met", "revision", "date"]
     for result in results:
         run = [result.revision, result.date]
-        writer.writerow([result.case, OURS, "", "verdict", result.verdict, "", "", "", *run])
+        yield [result.case, OURS, "", "verdict", result.verdict, "", "", "", *run]
         targets = {(t.name, t.way): t for t in result.targets}
         for figure in result.figures:
             target = targets.get((figure.name, figure.way))
@@ -142,8 +136,7 @@ def csv_text(results: Iterable[Result]) -> str:
             if target and (target.every_subject or not figure.subject):
                 judged = [str(target), "met" if judge([figure], target)[1] else "missed"]
             row = [result.case, figure.way, figure.subject, figure.name, f"{figure.value:.6g}", figure.unit]
-            writer.writerow([*row, *judged, *run])
-    return text.getvalue()
+            yield [*row, *judged, *run]
 
 
 def _targets(r: Result) -> Rows:

@@ -1,6 +1,5 @@
 """Whether a capture keeps its outcome when it is resampled: copies with fewer images, other rates, orders and seeds."""
 
-import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,8 +9,9 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.real_figures import Run, run_stages
-from benchmarks.results import markdown_table
+from benchmarks.results import markdown_table, write_page
 from groundwalk.store.checkout import git_revision
+from groundwalk.store.files import link_or_copy
 
 _HEADER = """# Real captures, resampled
 
@@ -49,8 +49,7 @@ RESAMPLINGS = (
 
 
 def stability_of(name: str, capture: Path, settings: tuple[str, ...], folder: Path) -> pd.DataFrame:
-    """Run every resampling of a capture below `folder`, which is emptied: a row each, and whether its outcome agrees
-    with the whole's."""
+    """Run a capture's resamplings below `folder`, which is emptied: a row each, and if it agrees with the whole."""
     shutil.rmtree(folder, ignore_errors=True)
     rows = []
     for number, resampling in enumerate(RESAMPLINGS):
@@ -73,14 +72,11 @@ def write_stability(folder: Path, resampled: pd.DataFrame) -> None:
         same = "" if row["resampling"] == _WHOLE else "yes" if row["agrees"] else "**no**"
         truth, classes = ("" if pd.isna(row[name]) else row[name] for name in ("with_ground_truth", "classes"))
         truth = truth if truth == "" else f"{truth:.0f}"
-        rows.append(
-            [row["case"], row["resampling"], str(row["images"]), row["outcome"], truth, classes, same, row["revision"]]
-        )
+        resampling = [row["case"], row["resampling"], str(row["images"])]
+        rows.append([*resampling, row["outcome"], truth, classes, same, row["revision"]])
     others = resampled.loc[resampled["resampling"] != _WHOLE, "agrees"]
     share = f"{others.sum()} of {len(others)} resamplings have the whole's outcome; 95 % to reach."
-    folder.mkdir(parents=True, exist_ok=True)
-    text = f"{_HEADER}\n{share}\n\n{markdown_table(rows)}\n"
-    (folder / "real-stability.md").write_text(text, encoding="utf-8")
+    write_page(folder, "real-stability", [f"{_HEADER}\n{share}", markdown_table(rows)])
 
 
 def _outcome(run: Run) -> dict[str, object]:
@@ -103,12 +99,7 @@ def _copy(source: Path, target: Path, keep: Callable[[int], np.ndarray], order_s
         left_out |= set(of_folder) - set(of_folder.iloc[keep(len(of_folder))])
     if order_seed is not None:
         paths = [paths[i] for i in np.random.default_rng(order_seed).permutation(len(paths))]
-    for path in paths:
-        if path in left_out:
-            continue
+    for path in (path for path in paths if path not in left_out):
         inside = target / path.relative_to(source)
         inside.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            os.link(path.resolve(), inside)
-        except OSError:
-            shutil.copyfile(path, inside)
+        link_or_copy(path.resolve(), inside)

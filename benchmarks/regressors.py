@@ -27,8 +27,7 @@ from groundwalk.store import DataRoot, UserError
 from groundwalk.store.checkout import git_revision
 from groundwalk.store.cli import new_app
 from groundwalk.store.manifests import MANIFEST
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.tables import poses_of, table_of
 
 app = new_app(__doc__ or "")
 
@@ -95,33 +94,30 @@ def errors_and_honesty(predictions: pd.DataFrame, truth: pd.DataFrame) -> dict[s
     return figures
 
 
-def drawn_rank_correlation(covariance_N33: NDArray[np.float64]) -> float:
-    """Spearman's of covariances' sizes and of the sizes of errors that are drawn from them: of covariances that are
-    right, however little they differ from frame to frame."""
+def drawn_rank_correlation(covariance: NDArray[np.float64]) -> float:
+    """Spearman's of sizes of covariances (N, 3, 3) and of sizes of errors that are drawn from them: of covariances that
+    are right, however little they differ from frame to frame."""
     rng = np.random.default_rng(0)
-    root = np.linalg.cholesky(covariance_N33)
-    drawn = np.linalg.norm(
-        np.einsum("nij,dnj->dni", root, rng.normal(size=(_DRAWS, *covariance_N33.shape[:2]))), axis=2
-    )
-    size = np.trace(covariance_N33, axis1=1, axis2=2)
+    root = np.linalg.cholesky(covariance)
+    drawn = np.linalg.norm(np.einsum("nij,dnj->dni", root, rng.normal(size=(_DRAWS, *covariance.shape[:2]))), axis=2)
+    size = np.trace(covariance, axis1=1, axis2=2)
     return float(np.mean([spearmanr(size, of_one)[0] for of_one in drawn]))
 
 
 def trained(work: Path, data: DataRoot, scene: str, profile: str, seed: int, settings: Sequence[str]) -> Training:
     """Train as the settings say in a data folder of its own below `work`, and score the answers."""
-    run = DataRoot(work).run(profile, scene, "train")
-    run.parent.mkdir(parents=True, exist_ok=True)
+    run = DataRoot(work).run(profile, scene)
+    run.mkdir(parents=True, exist_ok=True)
     for stage in _NEEDED:
-        link(run.parent / stage, data.run(profile, scene, stage))
+        link(run / stage, data.run(profile, scene, stage))
     (work / "captures").mkdir(exist_ok=True)
     link(work / "captures" / scene, data.captures(scene))
     scores = work / f"{scene}.json"
     if not scores.exists():
         sets = [word for setting in settings for word in ("--set", setting)]
         options = ["--scene", scene, "--profile", profile, "--data", str(work), "--seed", str(seed), *sets]
-        cost = measure([sys.executable, "-m", "groundwalk.training", *options], run)
-        predictions = read_table(run / "predictions.parquet", schema("train", "predictions"))
-        truth = read_table(run.parent / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
+        cost = measure([sys.executable, "-m", "groundwalk.training", *options], run / "train")
+        predictions, truth = table_of(run, "train", "predictions"), table_of(run, "align", "ground_truth")
         figures = errors_and_honesty(predictions, truth) | {"training": cost.cpu_s}
         scores.write_text(json.dumps({"revision": git_revision(), "figures": figures}))
     content = json.loads(scores.read_text())

@@ -16,22 +16,19 @@ import typer
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from benchmarks.cost import run_timed
 from benchmarks.real_figures import Run
 from benchmarks.results import circumstances, markdown_table, write_page
-from benchmarks.stock import largest_model, stock_command
+from benchmarks.stock import largest_model, run_stock
 from groundwalk.alignment.depth import HIGH_CONFIDENCE, MAX_RANGE_M, read_depth
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.depth_images import smooth_pixels
 from groundwalk.geometry.pose_similarity import fit_similar_poses
 from groundwalk.geometry.poses import Array, inverse, transform
 from groundwalk.sfm.database import image_id
-from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import DataRoot
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.store.images import read_grey_image
 from groundwalk.store.progress import track
-from groundwalk.store.settings import resolve_settings
 from groundwalk.store.tables import poses_of
 
 app = new_app(__doc__ or "")
@@ -50,10 +47,7 @@ def _camera(row: pd.Series, size: tuple[int, int], distortion: Array) -> Camera:
 
 def _stock_way(run: Run, map_T_cam: Array) -> Way | None:
     """Stock COLMAP's, which has no metres, brought onto the ground truth; None where it misses a frame."""
-    settings = resolve_settings(SfmSettings, "sfm", run.root, run.profile, run.scene, [])
-    command = stock_command(run.scene, run.profile, run.root, run.stock_folder, settings)
-    run.stock_folder.mkdir(parents=True, exist_ok=True)
-    run_timed(command, run.stock_folder, run.stock_folder.with_suffix(".log"))
+    run_stock(run.scene, run.profile, run.root, run.stock_folder)
     model, largest = run.stock_model(len(map_T_cam)), largest_model(run.stock_folder)
     if model is None or largest is None or not model.registered.all():
         return None

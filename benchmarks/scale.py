@@ -13,7 +13,7 @@ import os
 import shutil
 import sys
 from collections.abc import Iterable
-from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,7 +23,7 @@ import typer
 
 from benchmarks.cost import measure
 from benchmarks.groundtruth_inputs import PROFILE, ground_truth_targets, run_stage
-from benchmarks.results import circumstances, circumstances_of, markdown_table, write_page
+from benchmarks.results import circumstances, circumstances_of, kept, markdown_table, now, write_page
 from groundwalk.geometry.fits import fit_yaw
 from groundwalk.geometry.poses import rotation_angle
 from groundwalk.store import DataRoot
@@ -56,7 +56,7 @@ def run_size(frames: int, root: DataRoot) -> dict[str, Any]:
     row["models"] = load_manifest(root.run(PROFILE, _SCENE, "sfm"))["figures"]["models"]
     row |= {f"class {name}": int((truth["quality"] == name).sum()) for name in "ABC"}
     revision = load_manifest(root.run(PROFILE, _SCENE, "align"))["git_revision"]
-    return row | {"revision": revision, "date": f"{datetime.now(UTC):%Y-%m-%d}", "load": os.getloadavg()[0]}
+    return row | now() | {"revision": revision, "load": os.getloadavg()[0]}
 
 
 def _exponent(rows: pd.DataFrame, column: str) -> str:
@@ -65,17 +65,13 @@ def _exponent(rows: pd.DataFrame, column: str) -> str:
     return f"{np.log(last[column] / first[column]) / np.log(last['frames'] / first['frames']):.2f}"
 
 
-def _percent(share: float | None) -> str:
-    """Empty where the model has no covariances."""
-    return "" if share is None or np.isnan(share) else f"{share:.0f} %"
-
-
 def _table(rows: pd.DataFrame) -> Iterable[list[str]]:
     yield [
         *("frames", "with ground truth", "A, B, C", "models", "position cm: median, p95", "rotation deg"),
         *("inside 95 % bounds", *(f"{stage} s (processor), MiB" for stage in _MODULES), "load", "revision"),
     ]
     for row in rows.to_dict("records"):
+        inside = row.get("position within 95 % bounds, whole")  # of a model with covariances
         yield [
             str(row["frames"]),
             f"{row['frames with ground truth']:.1f} %",
@@ -83,7 +79,7 @@ def _table(rows: pd.DataFrame) -> Iterable[list[str]]:
             str(row["models"]),
             f"{row['position error, median']:.2f}, {row['position error, 95th percentile']:.2f}",
             f"{row['rotation error, median']:.3f}",
-            _percent(row.get("position within 95 % bounds, whole")),
+            "" if pd.isna(inside) else f"{inside:.0f} %",
             *(f"{row[f'{s} s']:.0f} ({row[f'{s} cpu s']:.0f}), {row[f'{s} MiB']:.0f}" for s in _MODULES),
             *(f"{row['load']:.1f}", row["revision"]),
         ]
@@ -98,13 +94,10 @@ def sizes(
     out: Annotated[Path, typer.Option(help="Folder for the tables.")] = Path("docs/results"),
 ) -> None:
     """Run the sizes that have no result yet, and write the page."""
-    work.mkdir(parents=True, exist_ok=True)
     for frames in map(int, sizes.split(",")):
-        path, root = work / f"{frames}.json", DataRoot(work / f"data-{frames}")
-        if not path.is_file():
-            row = run_size(frames, root)  # its stages go on where they were stopped
-            path.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
-            shutil.rmtree(root.root)
+        root = DataRoot(work / f"data-{frames}")
+        kept(work / f"{frames}.json", partial(run_size, frames, root))  # its stages go on where they were stopped
+        shutil.rmtree(root.root, ignore_errors=True)
     rows = pd.DataFrame([json.loads(path.read_text(encoding="utf-8")) for path in work.glob("*.json")])
     if (published := out / "scale.csv").is_file():
         rows = pd.concat([pd.read_csv(published), rows]).drop_duplicates("frames", keep="last")

@@ -15,15 +15,17 @@ import pandas as pd
 import pycolmap
 import typer
 
+from benchmarks.cost import Cost, run_timed
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.database import Ints, image_id, image_names
+from groundwalk.sfm.database import create_database, image_id, image_names
 from groundwalk.sfm.mapping.attempts import settings_of_size
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.settings import SfmSettings
-from groundwalk.store import DataRoot
+from groundwalk.store import DataRoot, UserError
 from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.images import image_file
+from groundwalk.store.settings import resolve_settings
+from groundwalk.store.tables import poses_of, table_of
 
 MOST_EXHAUSTIVE = 600
 """Images up to which every pair is matched; 180,000 pairs take half an hour on two cores."""
@@ -55,14 +57,28 @@ class Pairs(StrEnum):
 app = new_app(__doc__ or "")
 
 
-def stock_command(
-    scene: str, profile: str, root: DataRoot, folder: Path, settings: SfmSettings, *options: str
-) -> list[str]:
-    """The command that maps an imported scene into `folder` with stock COLMAP; features as `settings` say."""
-    return [
+def run_stock(scene: str, profile: str, root: DataRoot, folder: Path, *options: str) -> tuple[int, Cost]:
+    """Map an imported scene into `folder` with stock COLMAP, with features as sfm's settings say: its exit status and
+    what it cost. What it prints is in <folder>.log."""
+    settings = resolve_settings(SfmSettings, "sfm", root, profile, scene, [])
+    command = [
         *(sys.executable, "-m", "benchmarks.stock", "--scene", scene, "--profile", profile, "--data", str(root.root)),
         *("--out", str(folder), "--settings", settings.model_dump_json(), *options),
     ]
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    return run_timed(command, folder, _log_of(folder))
+
+
+def stock_cost(scene: str, profile: str, root: DataRoot, folder: Path) -> Cost:
+    """What `run_stock` cost; UserError where it failed."""
+    status, cost = run_stock(scene, profile, root, folder)
+    if status:
+        raise UserError("stock COLMAP failed", where=_log_of(folder), found=f"exit status {status}")
+    return cost
+
+
+def _log_of(folder: Path) -> Path:
+    return folder.with_name(f"{folder.name}.log")
 
 
 def pairs_of(images: int) -> Pairs:
@@ -85,36 +101,17 @@ def stock_poses(folder: Path, frames: int) -> tuple[Array, np.ndarray]:
     return model.sfm_T_cam, model.model
 
 
-def _session_cameras(frames: pd.DataFrame, camera_model: CameraModel) -> tuple[list[pycolmap.Camera], Ints]:
-    """A camera for each session and image size, without distortion, at the median of the logged intrinsics; and which
-    of them each frame has (N,)."""
+def _with_cameras(frames: pd.DataFrame, camera_model: CameraModel) -> tuple[pd.DataFrame, dict[str, pycolmap.Camera]]:
+    """The frames in sessions of one image size, and a camera for each: no distortion, the median logged intrinsics."""
     sizes = frames.groupby(["session_id", "width", "height"], sort=True)
-    cameras = []
+    cameras = {}
     for number, (_, rows) in enumerate(sizes):
         width, height = rows[["width", "height"]].iloc[0].tolist()
         camera = pycolmap.Camera.create_from_model_name(number + 1, camera_model, 1.0, width, height)
         camera.params = [*rows[["fx", "fy", "cx", "cy"]].median(), *np.zeros(len(camera.params) - 4)]
         camera.has_prior_focal_length = True
-        cameras.append(camera)
-    return cameras, np.asarray(sizes.ngroup(), np.int64)
-
-
-def _create_database(path: Path, names: list[str], cameras: list[pycolmap.Camera], camera_of_frame: Ints) -> None:
-    """A COLMAP database with these cameras, and one frame and image for each name with the camera of that index."""
-    with pycolmap.Database.open(path) as database, pycolmap.DatabaseTransaction(database):
-        for camera in cameras:
-            database.write_camera(camera, use_camera_id=True)
-            rig = pycolmap.Rig(rig_id=camera.camera_id)
-            rig.add_ref_sensor(camera.sensor_id)
-            database.write_rig(rig, use_rig_id=True)
-        for row, name in enumerate(names):
-            number, camera_id = image_id(row), cameras[int(camera_of_frame[row])].camera_id
-            image = pycolmap.Image(image_id=number, camera_id=camera_id, name=name)
-            frame = pycolmap.Frame(frame_id=number, rig_id=camera_id)
-            frame.add_data_id(image.data_id)
-            image.frame_id = number
-            database.write_frame(frame, use_frame_id=True)
-            database.write_image(image, use_image_id=True)
+        cameras[str(number)] = camera
+    return frames.assign(session_id=sizes.ngroup().astype(str)), cameras
 
 
 @app.command()
@@ -134,17 +131,17 @@ def main(
 ) -> None:
     """Map an imported scene with stock COLMAP: one camera a session, started at the logged intrinsics."""
     root = DataRoot(data)
-    frames = read_table(root.run(profile, scene, "import") / "frames.parquet", schema("import", "frames"))
+    frames = table_of(root.run(profile, scene), "import", "frames")
     sfm_settings = settings_of_size(SfmSettings.model_validate_json(settings), len(frames))
     shutil.rmtree(out, ignore_errors=True)
     images, database = out / "images", out / "database.db"
     names = image_names(frames)
     for name, image in zip(names, frames["image"], strict=True):
-        inside = image.removeprefix("import:")
-        source = (root.captures(scene) if inside == image else root.run(profile, scene, "import")) / inside
+        source = image_file(image, root.captures(scene), root.run(profile, scene, "import"))
         (images / name).parent.mkdir(parents=True, exist_ok=True)
         (images / name).symlink_to(source.resolve())
-    _create_database(database, names, *_session_cameras(frames, camera_model))
+    of_one_size, cameras = _with_cameras(frames, camera_model)
+    create_database(database, of_one_size, names, cameras)
 
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.use_gpu = False

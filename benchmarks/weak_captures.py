@@ -64,8 +64,7 @@ def _printed(c: Canvas) -> None:
 
 
 def _without_vio(folder: Path, rng: np.random.Generator) -> None:
-    """Turn the app's walk into images beside a COLMAP model of the true poses, whose camera is a guess: one focal
-    length, the centre of the image."""
+    """Turn the app's walk into images beside a COLMAP model of true poses whose camera is a guess: fx = fy, centred."""
     walk = folder / "walk-1"
     pictures = sorted(walk.glob("*.jpg"))
     of_picture = np.array([int(path.stem.removeprefix("frame_")) for path in pictures])
@@ -74,9 +73,8 @@ def _without_vio(folder: Path, rng: np.random.Generator) -> None:
         true = read_table(path, kind).iloc[of_picture].reset_index(drop=True)
         write_table(path, true.assign(t_ns=np.arange(len(true)) * 1_000_000_000), kind)
     focal_px = float(np.exp(rng.normal(0, _GUESS_SD)) * true["fx"].median())
-    cam_T_map = inverse(
-        poses_of(read_table(folder / "true_poses.parquet", schema("simulate", "true_poses")), "map_cam")
-    )
+    true = read_table(folder / "true_poses.parquet", schema("simulate", "true_poses"))
+    cam_T_map = inverse(poses_of(true, "map_cam"))
     xyzw = Rotation.from_matrix(cam_T_map[:, :3, :3]).as_quat()
     for path in walk.glob("*.json"):
         path.unlink()

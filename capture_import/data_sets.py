@@ -6,18 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, Recording, Reject
 from groundwalk.capture_import.media.images import BadImage, image_size
-from groundwalk.capture_import.parsing import (
-    SUFFIXES,
-    BadRow,
-    images_in,
-    in_order,
-    inside,
-    is_image,
-    read_rows,
-    seconds_to_ns,
-)
 from groundwalk.geometry.poses import Array
 from groundwalk.store.choices import Clock, PoseSource, SessionSplit
 from groundwalk.store.files import leads_outside, read_json
@@ -35,7 +26,7 @@ _MAX_DEPTH = 3
 def size_of(image: Path) -> tuple[int, int]:
     """(width, height) of an image file by its header; BadRow where it can't be read."""
     if not image.is_file():
-        raise BadRow("image is missing, or no ordinary file")
+        raise parsing.BadRow("image is missing, or no ordinary file")
     try:
         with image.open("rb") as file:
             start = file.read(1 << 16)
@@ -44,9 +35,9 @@ def size_of(image: Path) -> tuple[int, int]:
             except BadImage:  # of a HEIC all is needed, and metadata of others may be larger
                 return image_size(start + file.read(1 << 26))
     except BadImage as error:
-        raise BadRow(f"image {error}") from None
+        raise parsing.BadRow(f"image {error}") from None
     except OSError as error:
-        raise BadRow(f"image can't be read: {error}") from None
+        raise parsing.BadRow(f"image can't be read: {error}") from None
 
 
 def guessed_intrinsics(width: int, height: int, focal_sd: float = 0.0) -> Intrinsics:
@@ -102,12 +93,13 @@ def data_set_of(path: Path, images_of: Callable[[Path], Path | None]) -> Path | 
 
 def folder_with(data_set: Path, names: Sequence[str]) -> Path:
     """The folder that has most of the images of these names: `images/` where none has more, another one in the data
-    set, or itself. Of copies of other sizes (images_2) the first counts, of folders with other images beside these the
-    one with the fewest."""
-    beside = in_order(p for p in data_set.iterdir() if p.is_dir() and p.name != "images" and not p.name.startswith("."))
+    set, or itself. Of copies of other sizes (images_2) the first counts, else the one with fewest others."""
+    beside = parsing.in_order(
+        p for p in data_set.iterdir() if p.is_dir() and p.name != "images" and not p.name.startswith(".")
+    )
 
     def rank(folder: Path) -> tuple[int, bool, int]:
-        return count_in(folder, names), folder.name == "images", -len(images_in(folder))
+        return count_in(folder, names), folder.name == "images", -len(parsing.images_in(folder))
 
     return max((data_set / "images", *beside, data_set), key=rank)
 
@@ -116,8 +108,8 @@ def count_in(folder: Path, names: Iterable[str]) -> int:
     """How many images of these names are in a folder."""
     count = 0
     for name in names if folder.is_dir() else ():
-        with contextlib.suppress(BadRow):  # `read` refuses names that lead elsewhere
-            count += inside(folder, name).is_file()
+        with contextlib.suppress(parsing.BadRow):  # `read` refuses names that lead elsewhere
+            count += parsing.inside(folder, name).is_file()
     return count
 
 
@@ -128,18 +120,17 @@ def lost_images(names: Sequence[str]) -> str:
 
 def named_image(folders: Sequence[Path], name: Any) -> Path:
     """The image that a data set names relative to the first of these folders, with or without its suffix; of a path on
-    another machine, as Windows parts names, too, the end that is in one of them. BadRow for a name that is no text or
-    leads elsewhere."""
+    another machine, or Windows, the end that is in one of them. BadRow for no text, or one that leads out."""
     parts = name.replace("\\", "/").split("/") if isinstance(name, str) else []
     ends = [end for n in range(len(parts)) if (end := "/".join(parts[n:])) and not leads_outside(end)]
     images = (_with_suffix(folder / end) for end in ends for folder in folders)
-    return next((image for image in images if image.is_file()), None) or _with_suffix(inside(folders[0], name))
+    return next((image for image in images if image.is_file()), None) or _with_suffix(parsing.inside(folders[0], name))
 
 
 def _with_suffix(image: Path) -> Path:
-    if is_image(image):
+    if parsing.is_image(image):
         return image
-    names = [image.name + end for suffix in SUFFIXES for end in (suffix, suffix.upper())]
+    names = [image.name + end for suffix in parsing.SUFFIXES for end in (suffix, suffix.upper())]
     there = [image.with_name(name) for name in names if image.with_name(name).is_file()]
     return there[0] if there else image.with_name(image.name + ".png")
 
@@ -150,7 +141,7 @@ def named_for_testing(folders: Sequence[Path], names: Iterable[Any]) -> set[Path
     for name in names:
         try:
             images.add(named_image(folders, name))
-        except BadRow:
+        except parsing.BadRow:
             images.add(Path(str(name)))
     return images
 
@@ -183,9 +174,9 @@ def read_reference(
         if ours and not camera.distortion:
             camera = replace(camera, distortion=NO_DISTORTION)
         split = (SessionSplit.TEST if row[0] in tested else SessionSplit.TRAIN) if tested else None
-        return RawFrame(seconds_to_ns(place), pose, ImageFile(row[0]), camera, split=split)
+        return RawFrame(parsing.seconds_to_ns(place), pose, ImageFile(row[0]), camera, split=split)
 
-    frames, rejects = read_rows(own, read_row)
+    frames, rejects = parsing.read_rows(own, read_row)
     stated = {"is_gravity_aligned": is_metric, "is_metric": is_metric, "notes": notes}
     return reference("unknown", Clock.NAME_ORDER, path, frames, rejects, **stated)
 
@@ -196,8 +187,7 @@ def is_metric_export(data_set: Path) -> bool:
 
 
 def export_world(data_set: Path) -> str:
-    """What an export of groundwalk says of its world; empty where it is none: other files of these kinds state no
-    unit."""
+    """What an export of groundwalk says of its world; empty of other files of these kinds, which state no unit."""
     return str(read_json(data_set / EXPORT_NOTE).get("map", ""))
 
 
@@ -208,4 +198,4 @@ def _nested(data_set: Path, images: Path) -> bool:
 
 
 def _has_images(folder: Path) -> bool:
-    return any(is_image(p) for p in folder.iterdir())
+    return any(parsing.is_image(p) for p in folder.iterdir())

@@ -19,12 +19,7 @@ from groundwalk.store.recording import TIMELINE, UP_AXIS, log_images, set_time
 from groundwalk.store.tables import dataset_frames
 from groundwalk.store.text import printable
 
-_TRACKING_COLOURS = {
-    Tracking.NORMAL: VIO,
-    Tracking.UNKNOWN: VIO,
-    Tracking.LIMITED: REJECTED,
-    Tracking.LOST: NEUTRAL,
-}
+_TRACKING_COLOURS = {Tracking.NORMAL: VIO, Tracking.UNKNOWN: VIO, Tracking.LIMITED: REJECTED, Tracking.LOST: NEUTRAL}
 # Enough to see each place; more would make the recording of a long walk slow to open.
 _MAX_FRUSTA = 150
 # The timeline of images without times.

@@ -36,9 +36,8 @@ from groundwalk.store.hints import groundwalk_command, setting_of
 from groundwalk.store.images import image_file
 from groundwalk.store.manifests import BLURRED
 from groundwalk.store.registry import PluginError
-from groundwalk.store.schemas import schema
 from groundwalk.store.simulated import are_simulated
-from groundwalk.store.tables import dataset_frames, have_times, read_table
+from groundwalk.store.tables import dataset_frames, have_times, table_of
 from groundwalk.store.text import grouped_reasons, name_list, printable
 
 _SAME_FRAMES = 0.5  # of a recording's, those that another one has, too: then they are one recording
@@ -221,8 +220,7 @@ def _check_poses(
 
 
 def _keep_gps(r: StageRun[ImportSettings], sessions: Sequence[Session]) -> list[Session]:
-    """Write the table of positions on earth, where the user asks for it; the sessions, with rows of such that can't be
-    read among the rejects."""
+    """Write positions on earth, where the user wants them; the sessions, with rejects of unreadable positions."""
     if not r.settings.gps:
         return list(sessions)
     fixes, kept = dict[str, list[GpsFix]](), list[Session]()
@@ -385,10 +383,10 @@ def held_frames(r: StageRun[ImportSettings], frames: pd.DataFrame, left_out: Map
     imported otherwise now, and where a new one is one that is there, by its images or its VIO.
     """
     assert r.before is not None
-    rejects = read_table(r.before / "rejects.parquet", schema("import", "rejects"))
+    rejects = table_of(r.before.parent, "import", "rejects")
     if new := left_out.keys() - set(rejects.loc[rejects["rejected"] == Rejected.RECORDING, "session_id"]):
         raise left_out[min(new)]
-    before = read_table(r.before / "frames.parquet", schema("import", "frames"))
+    before = table_of(r.before.parent, "import", "frames")
     sessions, known = set(frames["session_id"]), set(before["session_id"])
     if sessions == known:
         raise UserError(

@@ -24,11 +24,7 @@ _ORIGIN = ("reference_origin_x", "reference_origin_y", "reference_origin_z")
 
 
 def frames_table(
-    session: Session,
-    used: Selection,
-    places: Sequence[Placed],
-    depths: Sequence[Mapping[str, str]],
-    first_row: str,
+    session: Session, used: Selection, places: Sequence[Placed], depths: Sequence[Mapping[str, str]], first_row: str
 ) -> pd.DataFrame:
     """Rows of `frames`, all but the split; and what the split is made from and checked by: `recording`, its name;
     `stated_split`, what a public data set states; `content_sha256`, of the image as captured without metadata (of a
@@ -51,10 +47,7 @@ def frames_table(
                 "content_sha256": check.content_sha256 or place.columns["image_sha256"],
                 "width": check.width,
                 "height": check.height,
-                "fx": camera.fx,
-                "fy": camera.fy,
-                "cx": camera.cx,
-                "cy": camera.cy,
+                **{name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")},
                 "distortion": list(camera.distortion),
                 "focal_sd": camera.focal_sd,
                 "first_row": ImageSide(turned_side(stated or usual_first_row(*stored), image.quarters)),
@@ -127,8 +120,7 @@ def sessions_table(
 
 
 def rejects_table(sessions: Sequence[Session], left_out: Mapping[str, UserError]) -> pd.DataFrame:
-    """Rows of `rejects`, with one for each recording that is left out as a whole; what isn't printable in names is
-    escaped."""
+    """Rows of `rejects`, with one for each recording left out as a whole; what isn't printable in names is escaped."""
     rejects = [(session.session_id, reject) for session in sessions for reject in session.rejects]
     rejects += [(name, Reject(name, None, error.line, Rejected.RECORDING)) for name, error in left_out.items()]
     return pd.DataFrame(

@@ -14,23 +14,13 @@ from groundwalk.geometry import GeometryError
 from groundwalk.geometry.cameras import Camera, pinhole_within
 from groundwalk.geometry.fits import Sim3, similarity_of_poses
 from groundwalk.geometry.poses import Array, make_pose
-from groundwalk.store import DataRoot, UserError
+from groundwalk.store import DataRoot, UserError, tables
 from groundwalk.store.choices import MapUnit, QualityClass, VerticalSource
 from groundwalk.store.files import read_json
 from groundwalk.store.georeference import FILE, Georeference, read_georeference
 from groundwalk.store.hints import run_command, setting_of
 from groundwalk.store.images import exif_orientation, image_file, verify_images, without_metadata
 from groundwalk.store.manifests import MANIFEST, load_verified, missing_stage
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import (
-    CAMERA_COLUMNS,
-    camera_of,
-    dataset_frames,
-    map_unit,
-    poses_of,
-    read_table,
-    with_cameras,
-)
 from groundwalk.store.undistortion import undistorted_image
 
 Images = Literal["link", "copy", "none"]
@@ -164,7 +154,7 @@ class Dataset:
 
     @property
     def cameras(self) -> list[Camera]:
-        return [camera_of(frame) for frame in self.frames.itertuples(index=False)]
+        return [tables.camera_of(frame) for frame in self.frames.itertuples(index=False)]
 
     @property
     def devices(self) -> list[str]:
@@ -253,7 +243,7 @@ class Dataset:
             ) from None
 
     def _with_cameras(self, cameras: list[Camera], images: list[ImageSource]) -> "Dataset":
-        columns = {name: [getattr(camera, name) for camera in cameras] for name in CAMERA_COLUMNS}
+        columns = {name: [getattr(camera, name) for camera in cameras] for name in tables.CAMERA_COLUMNS}
         return replace(self, frames=self.frames.assign(**columns), images=images)
 
 
@@ -268,7 +258,7 @@ def _apart_px(camera: Camera, other: Camera) -> float:
 
 def world_of(truth: pd.DataFrame) -> str:
     """Unit and axes of a map in words, by the sources of its ground truth's scale and vertical."""
-    unit = map_unit(truth)
+    unit = tables.map_unit(truth)
     scale = "" if unit is MapUnit.METRE else ", without a metric scale"
     axes = {
         VerticalSource.REFERENCE_UP_UNKNOWN: "a reference's axes, up unknown",
@@ -284,28 +274,27 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
     Raises UserError where one is missing, where align wasn't made from this sfm, where no frame has ground truth, or,
     for an export with images, where one of them isn't as import saw it.
     """
+    run = root.run(profile, scene)
     align, aligned = read_finished(root, profile, scene, "align")
     imported, import_manifest = read_finished(root, profile, scene, "import", aligned)
     sfm, _ = read_finished(root, profile, scene, "sfm", aligned)
     if reads_images:
         verify_images(root.captures(scene), imported)
-    ground_truth = read_table(align / "ground_truth.parquet", schema("align", "ground_truth"))
-    images = read_table(sfm / "images.parquet", schema("sfm", "images"))
-    frames = dataset_frames(read_table(imported / "frames.parquet", schema("import", "frames"))).merge(
-        ground_truth[_OF_GROUND_TRUTH],
-        on="frame_id",
-        validate="one_to_one",
+    ground_truth = tables.table_of(run, "align", "ground_truth")
+    images = tables.table_of(run, "sfm", "images")
+    frames = tables.dataset_frames(tables.table_of(run, "import", "frames")).merge(
+        ground_truth[_OF_GROUND_TRUTH], on="frame_id", validate="one_to_one"
     )
-    frames = with_cameras(frames, ground_truth)
+    frames = tables.with_cameras(frames, ground_truth)
     has_pose = (frames["quality"] != QualityClass.NONE).to_numpy()
     if not has_pose.any():
         raise UserError("nothing to export: no frame has ground truth", where=align)
     ids = frames.loc[has_pose, "frame_id"]
-    map_T_cam = poses_of(ground_truth.set_index("frame_id").loc[ids], "map_cam")
+    map_T_cam = tables.poses_of(ground_truth.set_index("frame_id").loc[ids], "map_cam")
     of_sfm = images.set_index("frame_id").loc[ids]
-    sfm_T_cam = poses_of(of_sfm, "sfm_cam")
+    sfm_T_cam = tables.poses_of(of_sfm, "sfm_cam")
     # Components are numbered by their frames, COLMAP's folders by the size of what was mapped: the same in most runs.
-    folder_of = read_table(sfm / "models.parquet", schema("sfm", "models")).set_index("model_id")["folder"]
+    folder_of = tables.table_of(run, "sfm", "models").set_index("model_id")["folder"]
     models, component = [], frames.loc[has_pose, "component"].to_numpy(int)
     for rows in (np.flatnonzero(component == index) for index in np.unique(component)):
         folder = sfm / folder_of[of_sfm["model_id"].iloc[rows[0]]]
@@ -321,7 +310,7 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
         bool(aligned["simulated"]),
         None if x is None or y is None or z is None else (x, y, z),
         scene,
-        read_table(imported / "sessions.parquet", schema("import", "sessions")),
+        tables.table_of(run, "import", "sessions"),
         str(import_manifest.get("figures", {}).get("split", "")),
         reads_gps=bool(import_manifest.get("settings", {}).get("gps", False)),
     )

@@ -9,21 +9,10 @@ from numpy.typing import NDArray
 
 from groundwalk.export.dataset import read_finished, world_of
 from groundwalk.geometry import Array
-from groundwalk.store import DataRoot, UserError
+from groundwalk.store import DataRoot, UserError, tables
 from groundwalk.store.choices import MapUnit
 from groundwalk.store.hints import scene_file, setting_of
 from groundwalk.store.images import image_file, verify_images
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import (
-    GUESS_SD,
-    dataset_frames,
-    map_unit,
-    pose_columns,
-    poses_of,
-    read_table,
-    with_cameras,
-    with_gravity_of_map,
-)
 from groundwalk.training.build import Trained, load_trained
 
 
@@ -64,7 +53,7 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
     where it has no such regressor, or only imported predictions of it.
     """
     folder, manifest = read_finished(data, profile, scene, "train")
-    cards = read_table(folder / "models.parquet", schema("train", "models"))
+    cards = tables.table_of(folder.parent, "train", "models")
     if model not in set(cards["model"]):
         raise UserError(
             f"scene {scene} has no regressor {model!r}",
@@ -76,47 +65,36 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
     if not card["file"]:
         raise UserError(f"only predictions of {model} were imported, not the network", where=folder)
     trained = load_trained(folder / card["file"])
-    predictions = read_table(folder / "predictions.parquet", schema("train", "predictions"))
+    predictions = tables.table_of(folder.parent, "train", "predictions")
     predictions = predictions[predictions["model"] == model]
     parts, worlds, units = [], {}, {}
     for leaf in trained.scenes:
         frames, worlds[leaf], units[leaf] = _frames(data, profile, leaf, manifest)
         parts.append(frames)
-    columns = ["scene", "frame_id", "split", "picked_scene", "covariance", *pose_columns("map_cam")]
+    columns = ["scene", "frame_id", "split", "picked_scene", "covariance", *tables.pose_columns("map_cam")]
     answers = predictions[columns].rename(columns=lambda c: c.replace("map_cam_", "predicted_"))
     frames = pd.concat(parts, ignore_index=True).drop(columns="split")
     frames = frames.merge(answers, on=["scene", "frame_id"], how="left", validate="1:1")
     given = [np.full((6, 6), np.nan) if c is None else np.reshape(c, (6, 6)) for c in frames["covariance"]]
-    return TrainedRegressor(
-        model,
-        profile,
-        tuple(trained.scenes),
-        card,
-        trained,
-        frames,
-        poses_of(frames, "map_cam"),
-        poses_of(frames, "predicted"),
-        np.array(given, float),
-        worlds,
-        units,
-        bool(manifest["simulated"]),
-    )
+    poses = tables.poses_of(frames, "map_cam"), tables.poses_of(frames, "predicted"), np.array(given, float)
+    of_map = worlds, units, bool(manifest["simulated"])
+    return TrainedRegressor(model, profile, tuple(trained.scenes), card, trained, frames, *poses, *of_map)
 
 
 def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> tuple[pd.DataFrame, str, MapUnit]:
     """A scene's frames with their files, cameras and ground truth, unit and axes of its map, and the unit."""
     imported, _ = read_finished(data, profile, scene, "import", train)
-    aligned, _ = read_finished(data, profile, scene, "align", train)
-    frames = dataset_frames(read_table(imported / "frames.parquet", schema("import", "frames")))
-    truth = read_table(aligned / "ground_truth.parquet", schema("align", "ground_truth"))
-    logged, is_guess = frames["fx"].to_numpy(), (frames["focal_sd"] >= GUESS_SD).to_numpy()
-    frames = with_gravity_of_map(frames, truth)
-    poses = ["frame_id", *pose_columns("map_cam")]
-    frames = with_cameras(frames, truth).merge(truth[poses], on="frame_id", validate="1:1")
+    read_finished(data, profile, scene, "align", train)
+    frames = tables.dataset_frames(tables.table_of(imported.parent, "import", "frames"))
+    truth = tables.table_of(imported.parent, "align", "ground_truth")
+    logged, is_guess = frames["fx"].to_numpy(), (frames["focal_sd"] >= tables.GUESS_SD).to_numpy()
+    frames = tables.with_gravity_of_map(frames, truth)
+    poses = ["frame_id", *tables.pose_columns("map_cam")]
+    frames = tables.with_cameras(frames, truth).merge(truth[poses], on="frame_id", validate="1:1")
     # Nobody will state import's guess of a photo without one: who asks knows it, or takes what sfm found.
     stated = np.where(is_guess, frames["fx"], logged)
     captures = data.captures(scene)
     verify_images(captures, imported)
     files = [image_file(image, captures, imported) for image in frames["image"]]
     frames = frames.assign(scene=scene, file=pd.Series(files, dtype=object), stated_fx=stated)
-    return frames, world_of(truth), map_unit(truth)
+    return frames, world_of(truth), tables.map_unit(truth)

@@ -35,9 +35,8 @@ from groundwalk.store.inputs import capture_files, has_capture_files, held
 from groundwalk.store.locks import locked
 from groundwalk.store.manifests import MANIFEST, listed_files, load_manifest
 from groundwalk.store.outdated import is_up_to_date
-from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot, resolve_settings
-from groundwalk.store.tables import map_unit, read_table
+from groundwalk.store.tables import map_unit, table_of
 
 app = new_app("Recordings into a finished ground truth, or out of it.")
 _STAGES = ("import", "sfm", "align")
@@ -155,8 +154,7 @@ def _folder_for(captures: Path, data: DataRoot, profile: str, scene: str) -> str
 
 
 def _copy_captures(target: Path, captures: Path, into: str, new: Path | None, place: Path) -> None:
-    """What is captured (in the folder `into`, where that is named) with what is `new`, or without what lies at
-    `place`."""
+    """What is captured (in the folder `into`, where named) with what is `new`, or without what lies at `place`."""
 
     def ignored(folder: str, names: list[str]) -> list[str]:
         return [name for name in names if name.startswith(".") or (not new and Path(folder, name) == captures / place)]
@@ -244,10 +242,8 @@ def _tell(data: DataRoot, profile: str, scene: str) -> None:
     """What has changed, and what is to be run again."""
     if (data.run(profile, scene, "report") / MANIFEST).is_file():
         run_steps([Step("report", scene)], profile, data)
-    versions = read_table(data.run(profile, scene, "align") / "versions.parquet", schema("align", "versions"))
-    number = int(versions["version"].max())
-    truth = read_table(data.run(profile, scene, "align") / "ground_truth.parquet", schema("align", "ground_truth"))
-    is_metric = map_unit(truth) is MapUnit.METRE
+    versions, truth = (table_of(data.run(profile, scene), "align", table) for table in ("versions", "ground_truth"))
+    number, is_metric = int(versions["version"].max()), map_unit(truth) is MapUnit.METRE
     for row in versions[versions["version"] == number].to_dict("records"):
         is_known = is_metric and row["with_ground_truth"]
         sd = f", median standard deviation {1000 * row['position_sd_m']:.1f} mm" if is_known else ""

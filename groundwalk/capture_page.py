@@ -83,18 +83,8 @@ def look_at(session: Session, has_up: bool, reader: ImageReader) -> Look:
         turning = np.degrees(np.linalg.norm(rates.angular, axis=1))
         if session.recording.is_metric:
             speed = np.linalg.norm(rates.velocity, axis=1)
-    return Look(
-        session,
-        has_up,
-        poses_of(images),
-        pixels_s,
-        turning,
-        speed,
-        np.array(sampled, int),
-        thumbnails,
-        np.array(brightness),
-        np.array(clipped),
-    )
+    light = np.array(brightness), np.array(clipped)
+    return Look(session, has_up, poses_of(images), pixels_s, turning, speed, np.array(sampled, int), thumbnails, *light)
 
 
 def capture_page(name: str, looks: Sequence[Look], lines: Sequence[str]) -> str:
@@ -136,7 +126,8 @@ def _facts(look: Look) -> Iterator[tuple[str, str, str]]:
     yield f"{len(images)}", f"sound images{over}", f"{rejected} rows or images are rejected"
     if session.has_poses:
         unit = "m" if session.recording.is_metric else "of an unknown unit"
-        extent = "×".join(f"{side:.1f}" for side in _extent(look))
+        x, y, z = np.ptp(look.poses[:, :3, 3] @ _level(look).T, axis=0).tolist()
+        extent = "×".join(f"{side:.1f}" for side in (max(x, z), min(x, z), y))
         if not np.isnan(metres):
             speed = _range(look.speed_m_s, "m/s")
             yield f"{metres:.1f} m", "path", f"{extent} m across; speed {speed}"
@@ -184,11 +175,6 @@ def _level(look: Look) -> Array:
     xyz = look.poses[:, :3, 3]
     sides = np.linalg.svd(xyz - xyz.mean(axis=0), full_matrices=True)[2] if len(xyz) > 1 else np.eye(3)
     return np.array([sides[0], sides[2], sides[1]])
-
-
-def _extent(look: Look) -> list[float]:
-    x, y, z = np.ptp(look.poses[:, :3, 3] @ _level(look).T, axis=0).tolist()
-    return [*sorted((x, z), reverse=True), y]
 
 
 def _headings(look: Look) -> Array:

@@ -50,10 +50,8 @@ class TorchDataset(Dataset[Item]):
     ) -> None:
         if split is not None and split not in _SPLITS:
             raise UserError(f"there is no split {split!r}", expected=f"one of {', '.join(_SPLITS)}, or None for all")
-        poses = [column for column in truth.columns if column.startswith("map_cam_")]
-        frames = with_cameras(frames, truth).merge(
-            truth[["frame_id", "quality", *poses]], on="frame_id", validate="1:1"
-        )
+        columns = ["frame_id", "quality", *(name for name in truth.columns if name.startswith("map_cam_"))]
+        frames = with_cameras(frames, truth).merge(truth[columns], on="frame_id", validate="1:1")
         here = frames["map_cam_tx"].notna() & (True if split is None else frames["split"] == split)
         frames = frames[here].reset_index(drop=True)
         self.image, self.transform = image, transform

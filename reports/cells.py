@@ -116,8 +116,7 @@ def _averages(rows: list[dict[str, object]]) -> list[dict[str, object]]:
     averages = []
     for (environment, _, _), scenes in errors.groupby(keys, sort=False):
         if len(scenes) > 1:
-            # A scene without a figure leaves none for the average either: it would be one over other scenes. Nor is
-            # there one over units.
+            # A scene without a figure leaves none for the average, of other scenes then; nor is there one over units.
             of_all = scenes["scene"].nunique() == all_scenes[environment]
             of_one_unit = scenes["unit"].isin(ERRORS.values()).all()
             value = float(scenes["value"].mean(skipna=False)) if of_all and of_one_unit else math.nan
@@ -171,8 +170,7 @@ def published_cells(tables: PrintedTables, scenes: list[SceneInputs]) -> pd.Data
 
 @dataclass(frozen=True)
 class LocaliserErrors:
-    """What a localiser reaches over the `frames` of Table IV, alone or with the method that is ahead, as it is printed
-    there."""
+    """What a localiser reaches over the `frames` of Table IV, alone or with the method ahead, as printed there."""
 
     model: str
     name: str
@@ -217,9 +215,8 @@ def _interval(scene: SceneInputs, model: str, method: str) -> str:
     found = found[(found["subset"] == "all") & (found["figure"] == "position_median_m")][["low", "high"]].astype(float)
     if len(over) < len(errors):  # fuse's is over walks, too, in which nothing is fused
         errors_m, errors_deg = (over[f"live_{name}"].to_numpy(float) for name in ("position_m", "rotation_deg"))
-        drawn = figures_by_session(
-            over["session_id"].to_numpy(object), errors_m, errors_deg, sure_enough(over["quality"])
-        )
+        sessions = over["session_id"].to_numpy(object)
+        drawn = figures_by_session(sessions, errors_m, errors_deg, sure_enough(over["quality"]))
         found = pd.DataFrame([bounds for name, _, *bounds in drawn if name == "position_median_m"], dtype=float)
     if set(scene.errors["split"]) != {"test"} or found.empty or found.iloc[0].isna().all():
         return EMPTY

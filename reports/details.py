@@ -55,13 +55,8 @@ def overview(scene: SceneInputs, verdict: Verdict, found: list[LocaliserErrors])
 
 
 OVERVIEW = (
-    "captures",
-    "ground truth",
-    "trusted frames (%)",
-    "sigma, median",
-    "VIO drift (%)",
-    "best regressor, alone",
-    "the same, fused",
+    *("captures", "ground truth", "trusted frames (%)", "sigma, median", "VIO drift (%)"),
+    *("best regressor, alone", "the same, fused"),
 )
 
 

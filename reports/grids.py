@@ -93,15 +93,8 @@ def _md_text(text: str) -> str:
     return " ".join(escaped.splitlines())
 
 
-_LATEX = {
+_LATEX = {character: f"\\{character}" for character in "&%#$_{}"} | {
     "\\": r"\textbackslash{}",
-    "&": r"\&",
-    "%": r"\%",
-    "#": r"\#",
-    "$": r"\$",
-    "_": r"\_",
-    "{": r"\{",
-    "}": r"\}",
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
     "°": r"$^\circ$",

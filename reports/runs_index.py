@@ -65,9 +65,8 @@ def _state(run: RunFiles) -> str:
     """The verdict, and how far the run has come."""
     scene = [*run.manifests.values()][-1]["scene"] if run.manifests else {}
     is_group = scene.get("members") and "report" in run.finished
-    parts = [
-        str(run.verdict.get("verdict", "a group: its page has its scenes' verdicts" if is_group else "no verdict yet"))
-    ]
+    without = "a group: its page has its scenes' verdicts" if is_group else "no verdict yet"
+    parts = [str(run.verdict.get("verdict", without))]
     if run.stopped:
         parts.append(f"stopped at {run.stopped}")
     elif {*(scene.get("stages") or STAGES)} - {*run.finished}:

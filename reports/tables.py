@@ -232,7 +232,7 @@ class Tables:
     def _coverage_notes(self) -> list[str]:
         notes = [
             "“Same frames” is the model alone over just the frames of the subset: like for like with “+VIO”, the "
-            "paper's rule. The plain column is over all test frames, as in the paper.",
+            "paper's rule. The plain column is over all test frames, as in the paper."
         ] * (len(self.scored) > 1)
         for scene in self.scenes.values():
             shares = []

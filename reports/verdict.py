@@ -321,9 +321,8 @@ def as_json(scene: SceneInputs, verdict: Verdict, localisers: list[LocaliserErro
 
 
 def _localiser(of: LocaliserErrors) -> dict[str, Any]:
-    position, rotation, coverage = (
-        None if text == EMPTY else float(text) for text in (of.position, of.rotation, of.coverage)
-    )
+    texts = of.position, of.rotation, of.coverage
+    position, rotation, coverage = (None if text == EMPTY else float(text) for text in texts)
     return {
         "localiser": of.name,
         "model": of.model,

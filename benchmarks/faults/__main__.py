@@ -87,15 +87,9 @@ def _write(outcomes: list[Outcome], out: Path, seed: int, fraction: float) -> No
         tracebacks = sum(any(p.startswith("traceback") for p in o.problems) for o in of_kind)
         changed, outside = sum(bool(o.changed) for o in of_kind), sum(bool(o.outside) for o in of_kind)
         with_problem = sum(bool(o.problems) for o in of_kind)
-        counts = [
-            sum(o.status == 0 for o in of_kind),
-            sum(o.status == 2 for o in of_kind),
-            sum(o.status not in (0, 2) for o in of_kind),
-            tracebacks,
-            changed,
-            outside,
-            with_problem - tracebacks - changed - outside,
-        ]
+        done, refused = (sum(o.status == status for o in of_kind) for status in (0, 2))
+        other = with_problem - tracebacks - changed - outside
+        counts = [done, refused, len(of_kind) - done - refused, tracebacks, changed, outside, other]
         peak = max(o.peak_bytes for o in of_kind) / 2**20
         rows.append([kind, str(len(of_kind)), *map(str, counts), f"{peak:,.0f}"])
     sections = [

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from numpy.random import Generator
 
-from benchmarks.faults.case import DONE, REFUSED, Case
-from benchmarks.faults.sandbox import PROFILE, SCENE, Sandbox, rewritable
+from benchmarks.faults.case import DONE, Case
+from benchmarks.faults.sandbox import SCENE, Sandbox, rewritable, stage_case
 from groundwalk.cli import stages
 from groundwalk.store.definition import Stage
 from groundwalk.store.manifests import MANIFEST
@@ -50,16 +50,8 @@ def folder_instead(path: Path, _: Generator) -> None:
 
 
 DAMAGES: tuple[Damage, ...] = (cut, empty, zero, flip, remove, folder_instead)
-_MANIFESTS = (
-    "null",
-    "[]",
-    "{}",
-    '""',
-    "0",
-    "\x00",
-    '{"outputs": null}',
-    '{"outputs": {"../../x": "0"}, "simulated": 1}',
-)
+_OUTSIDE = '{"outputs": {"../../x": "0"}, "simulated": 1}'
+_MANIFESTS = ("null", "[]", "{}", '""', "0", "\x00", '{"outputs": null}', _OUTSIDE)
 
 
 def _damage(folder: Path, rng: Generator, stage: str, name: str, damage: Damage, reader: str) -> str:
@@ -74,11 +66,6 @@ def _manifest(folder: Path, _: Generator, stage: str, content: str, reader: str)
     rewritable(sandbox.run_of(stage) / MANIFEST).write_text(content, encoding="utf-8")
     shutil.rmtree(sandbox.run_of(reader), ignore_errors=True)
     return f"{stage}/{MANIFEST} is {content}"
-
-
-def arguments(stage: str, *more: str) -> tuple[str, ...]:
-    """The command that runs a stage in a sandbox."""
-    return (stage, "--scene", SCENE, "--profile", PROFILE, "--data", "data", *more)
 
 
 def readers(stage: str) -> list[Stage]:
@@ -96,24 +83,13 @@ def cases(base: Sandbox) -> Iterator[Case]:
         for number, name in enumerate(sorted(listed)):
             for kind, damage in enumerate(DAMAGES):
                 reader = after[(number + kind) % len(after)].name
-                yield Case(
-                    "artefact damaged",
-                    f"{stage.name}/{name}, {damage.__name__}, read by {reader}",
-                    partial(_damage, stage=stage.name, name=name, damage=damage, reader=reader),
-                    arguments(reader),
-                    (REFUSED,),
-                    reader,
-                )
+                words = f"{stage.name}/{name}, {damage.__name__}, read by {reader}"
+                spoil = partial(_damage, stage=stage.name, name=name, damage=damage, reader=reader)
+                yield stage_case("artefact damaged", words, spoil, reader)
         for number, content in enumerate(_MANIFESTS):
             reader = after[number % len(after)].name
-            yield Case(
-                "manifest damaged",
-                f"{stage.name} {content!r}, read by {reader}",
-                partial(_manifest, stage=stage.name, content=content, reader=reader),
-                arguments(reader),
-                (REFUSED,),
-                reader,
-            )
+            spoil = partial(_manifest, stage=stage.name, content=content, reader=reader)
+            yield stage_case("manifest damaged", f"{stage.name} {content!r}, read by {reader}", spoil, reader)
 
 
 def _image(folder: Path, rng: Generator, damage: Damage, reader: str) -> str:
@@ -132,14 +108,7 @@ def image_cases() -> Iterator[Case]:
             continue
         for damage in DAMAGES:
             spoil = partial(_image, damage=damage, reader=stage.name)
-            yield Case(
-                "image damaged",
-                f"{damage.__name__}, read by {stage.name}",
-                spoil,
-                arguments(stage.name),
-                (REFUSED,),
-                stage.name,
-            )
+            yield stage_case("image damaged", f"{damage.__name__}, read by {stage.name}", spoil, stage.name)
 
 
 def _damage_output(folder: Path, rng: Generator, stage: str, damage: Damage) -> str:
@@ -154,12 +123,5 @@ def output_cases() -> Iterator[Case]:
     """A stage's own artefact is damaged: the stage notices, and makes the same one again."""
     for number, stage in enumerate(stages()):
         damage = DAMAGES[number % len(DAMAGES)]
-        yield Case(
-            "own artefact damaged",
-            f"{stage.name}, {damage.__name__}",
-            partial(_damage_output, stage=stage.name, damage=damage),
-            arguments(stage.name),
-            (DONE,),
-            stage.name,
-            is_same=True,
-        )
+        spoil, words = partial(_damage_output, stage=stage.name, damage=damage), f"{stage.name}, {damage.__name__}"
+        yield stage_case("own artefact damaged", words, spoil, stage.name, (DONE,), is_same=True)

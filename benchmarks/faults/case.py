@@ -17,6 +17,9 @@ _CRASH = re.compile(
 _ESCAPE = re.compile(r"\x1b(?!\[[0-9;?]*[a-zA-Z])")
 
 
+Spoil = Callable[[Path, Generator], str]
+
+
 @dataclass(frozen=True)
 class Case:
     """`spoil` does the damage in a copy of a finished scene and says in words what it did; `arguments` are
@@ -25,13 +28,23 @@ class Case:
 
     kind: str
     name: str
-    spoil: Callable[[Path, Generator], str]
+    spoil: Spoil
     arguments: tuple[str, ...]
     exit_codes: tuple[int, ...] = (DONE, REFUSED)
     writes: str | None = None
     is_same: bool = False
     max_memory_bytes: int = 4 * _GIB
     before: Callable[[], None] | None = None
+
+
+def differing(before: dict[str, str], after: dict[str, str]) -> list[str]:
+    """Names in one of them alone, or with another state in the other."""
+    return sorted(name for name in {*before, *after} if before.get(name) != after.get(name))
+
+
+def nothing(folder: Path, _: Generator) -> str:
+    """Of a case whose fault is in its arguments, or comes later."""
+    return "nothing"
 
 
 @dataclass(frozen=True)

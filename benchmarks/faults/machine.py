@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.random import Generator
 
-from benchmarks.faults.artefacts import arguments
 from benchmarks.faults.case import DONE, REFUSED, Case
-from benchmarks.faults.sandbox import Sandbox
+from benchmarks.faults.sandbox import Sandbox, stage_case
 from groundwalk.cli import stages
 
 _CLONE_NEWNS = 0x20000
@@ -26,8 +25,9 @@ _OPEN_FILES = (12, 20, 40, 80)
 _DISK_BYTES = 2 << 30
 
 
-def _unmade(folder: Path, _: Generator, stage: str) -> str:
-    shutil.rmtree(Sandbox(folder).run_of(stage))
+def unmade(folder: Path, _: Generator, stage: str) -> str:
+    """The stage's artefact is removed."""
+    shutil.rmtree(Sandbox(folder).run_of(stage), ignore_errors=True)
     return f"{stage} isn't there"
 
 
@@ -110,12 +110,5 @@ def cases(count: int) -> Iterator[Case]:
                 tries.append((f"{size} bytes free after {after_s:.1f} s", filling))
                 tries.append(("read-only", partial(mount_read_only, stage.name)))
             words, before = tries[number % len(tries)]
-            yield Case(
-                "machine",
-                f"{stage.name}, {words}",
-                partial(_unmade, stage=stage.name),
-                arguments(stage.name),
-                (DONE, REFUSED),
-                stage.name,
-                before=before,
-            )
+            missing, words = partial(unmade, stage=stage.name), f"{stage.name}, {words}"
+            yield stage_case("machine", words, missing, stage.name, (DONE, REFUSED), before=before)

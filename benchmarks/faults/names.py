@@ -7,50 +7,16 @@ from pathlib import Path
 
 from numpy.random import Generator
 
-from benchmarks.faults.case import REFUSED, Case
-from benchmarks.faults.sandbox import PROFILE, SCENE, Sandbox
+from benchmarks.faults.case import REFUSED, Case, nothing
+from benchmarks.faults.sandbox import PROFILE, SCENE, Sandbox, arguments
 from groundwalk.cli import stages
 
 NAMES = (
-    "",
-    ".",
-    "..",
-    "../captures",
-    "../../outside",
-    "/etc",
-    "~",
-    "-rf",
-    "--help",
-    "a/b",
-    "a\\b",
-    "a b",
-    "`touch hacked`",
-    "$(touch hacked)",
-    "$$(touch hacked)",
-    "; touch hacked",
-    "| touch hacked",
-    "&& touch hacked",
-    "\n touch hacked",
-    "%s%n",
-    "*",
-    "con",
-    "x" * 255,
-    "x" * 5000,
-    "é",
-    "\u202eexe.txt",
-    "\x1b[2J",
-    "\x07",
-    "<script>alert(1)</script>",
-    "{{7*7}}",
-    "\\input{/etc/passwd}",
-    "{'a': 1}",
-    "NUL",
-    "0",
+    *("", ".", "..", "../captures", "../../outside", "/etc", "~", "-rf", "--help", "a/b", "a\\b", "a b"),
+    *("`touch hacked`", "$(touch hacked)", "$$(touch hacked)", "; touch hacked", "| touch hacked", "&& touch hacked"),
+    *("\n touch hacked", "%s%n", "*", "con", "x" * 255, "x" * 5000, "é", "\u202eexe.txt", "\x1b[2J", "\x07"),
+    *("<script>alert(1)</script>", "{{7*7}}", "\\input{/etc/passwd}", "{'a': 1}", "NUL", "0"),
 )
-
-
-def _nothing(folder: Path, _: Generator) -> str:
-    return "nothing"
 
 
 def _session(folder: Path, _: Generator, name: str) -> str:
@@ -80,26 +46,10 @@ def cases() -> Iterator[Case]:
             ("setting", ("--scene", SCENE, "--profile", PROFILE, "--set", f"{name}=1")),
         ):
             for verb in dict.fromkeys((command, "clean" if what != "setting" else command)):
-                yield Case(
-                    f"name of a {what}",
-                    f"{verb} {name!r:.80}",
-                    _nothing,
-                    (verb, *options, "--data", "data"),
-                    (REFUSED,),
-                )
+                call = (verb, *options, "--data", "data")
+                yield Case(f"name of a {what}", f"{verb} {name!r:.80}", nothing, call, (REFUSED,))
         if name.strip("./") and "/" not in name and "\x00" not in name and len(name.encode()) <= 255:
-            for what, spoil in (("session", _session), ("device", _device)):
-                yield Case(
-                    f"name of a {what}",
-                    f"import {name!r:.80}",
-                    partial(spoil, name=name),
-                    ("import", "--scene", SCENE, "--profile", PROFILE, "--data", "data"),
-                    writes="import",
-                    max_memory_bytes=1 << 30,
-                )
-                yield Case(
-                    f"name of a {what}",
-                    f"inspect {name!r:.80}",
-                    partial(spoil, name=name),
-                    ("inspect", f"data/captures/{SCENE}"),
-                )
+            for kind, of_capture in (("name of a session", _session), ("name of a device", _device)):
+                spoil, words = partial(of_capture, name=name), f"import {name!r:.80}"
+                yield Case(kind, words, spoil, arguments("import"), writes="import", max_memory_bytes=1 << 30)
+                yield Case(kind, f"inspect {name!r:.80}", spoil, ("inspect", f"data/captures/{SCENE}"))

@@ -17,11 +17,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.random import Generator
 
-from benchmarks.faults.artefacts import arguments, readers
+from benchmarks.faults.artefacts import readers
 from benchmarks.faults.case import DONE, REFUSED, Case
-from benchmarks.faults.machine import can_mount, mount_at
+from benchmarks.faults.machine import can_mount, mount_at, unmade
 from benchmarks.faults.names import NAMES
-from benchmarks.faults.sandbox import PROFILE, SCENE, Sandbox, rewritable
+from benchmarks.faults.sandbox import PROFILE, SCENE, Sandbox, arguments, rewritable, stage_case
 from groundwalk.cli import stages
 from groundwalk.store.files import old_folder, partial_folder, sha256_of
 from groundwalk.store.locks import lock_file
@@ -29,14 +29,7 @@ from groundwalk.store.manifests import MANIFEST
 from groundwalk.store.schemas import TableSchema, stage_tables
 from groundwalk.store.simulated import SIMULATED_MARKER
 
-CALLS = (
-    "os.open",
-    "os.fsync",
-    "fcntl.flock",
-    "pathlib.Path.rename",
-    "pathlib.Path.replace",
-    "pathlib.Path.mkdir",
-)
+CALLS = ("os.open", "os.fsync", "fcntl.flock", *(f"pathlib.Path.{name}" for name in ("rename", "replace", "mkdir")))
 # Of what a Python program itself does wrong; and the end of a pipe, which ends the program.
 _NOT_THE_DISKS = {errno.EPIPE, errno.EAGAIN, errno.EINTR, errno.EINPROGRESS, errno.ECHILD}
 _PLACES = {"lock": lock_file, "partial folder": partial_folder, "old folder": old_folder, "folder": lambda final: final}
@@ -58,11 +51,6 @@ def close_streams() -> None:
     """Before a command: standard input and output are closed."""
     os.close(0)
     os.close(1)
-
-
-def _without(folder: Path, _: Generator, stage: str) -> str:
-    shutil.rmtree(Sandbox(folder).run_of(stage), ignore_errors=True)
-    return f"{stage} isn't there"
 
 
 def _link(folder: Path, _: Generator, stage: str, place: str, target: str) -> str:
@@ -115,7 +103,7 @@ def _paths_in_tables(base: Sandbox) -> Iterator[Case]:
                         spoil = partial(_path_in_table, table=table, column=column, path=path, reader=reader)
                         words = f"{table.stage}.{table.name}.{column}, read by {reader}"
                         # A stage that doesn't read this table may end well; nothing outside is written in any case.
-                        yield Case("path in a table", words, spoil, arguments(reader), (DONE, REFUSED), reader)
+                        yield stage_case("path in a table", words, spoil, reader, (DONE, REFUSED))
 
 
 def _text(folder: Path, _: Generator, file: str, text: str) -> str:
@@ -159,36 +147,24 @@ def cases(base: Sandbox) -> Iterator[Case]:
     numbers = sorted({*errno.errorcode} - _NOT_THE_DISKS)
     all_stages = stages()
     for turn, stage in enumerate(all_stages):
-        missing = partial(_without, stage=stage.name)
+        missing = partial(unmade, stage=stage.name)
         for place in _PLACES:
             for target in ("outside", "nowhere"):
-                yield Case(
-                    "link in place of a folder",
+                words, link = (
                     f"{stage.name}, {place} → {target}",
                     partial(_link, stage=stage.name, place=place, target=target),
-                    arguments(stage.name),
-                    (DONE, REFUSED),
-                    stage.name,
                 )
+                yield stage_case("link in place of a folder", words, link, stage.name, (DONE, REFUSED))
             if place != "lock" and can_mount():
-                before = partial(_mount_place, stage.name, place)
-                words = f"{stage.name}, {place}"
-                yield Case("mount point", words, missing, arguments(stage.name), writes=stage.name, before=before)
+                before, words = partial(_mount_place, stage.name, place), f"{stage.name}, {place}"
+                yield stage_case("mount point", words, missing, stage.name, (DONE, REFUSED), before=before)
         for at, number in enumerate(numbers[turn :: len(all_stages)]):
             call = CALLS[at % len(CALLS)]
             words = f"{stage.name}, {errno.errorcode[number]} in {call}"
             before = partial(fail_with, call, number)
-            yield Case("error of a disk", words, missing, arguments(stage.name), (REFUSED,), stage.name, before=before)
-        yield Case(
-            "closed streams", stage.name, missing, arguments(stage.name), (DONE,), stage.name, before=close_streams
-        )
+            yield stage_case("error of a disk", words, missing, stage.name, before=before)
+        yield stage_case("closed streams", stage.name, missing, stage.name, (DONE,), before=close_streams)
         for name, info in stage.settings.model_fields.items():
             for value in _OTHERS.get(_plain_type(info.annotation), ()):
-                setting = f"{name}={value}"
-                yield Case(
-                    "setting of another type",
-                    f"{stage.name} {setting}",
-                    missing,
-                    arguments(stage.name, "--set", setting),
-                    (REFUSED,),
-                )
+                words, run = f"{stage.name} {name}={value}", arguments(stage.name, "--set", f"{name}={value}")
+                yield Case("setting of another type", words, missing, run, (REFUSED,))

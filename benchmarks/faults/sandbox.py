@@ -11,11 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 
-from benchmarks.faults.case import DONE, Case, Outcome
+from benchmarks.faults.case import DONE, REFUSED, Case, Outcome, Spoil, differing
 from groundwalk.cli import all_commands, app
 from groundwalk.store.cores import usable_cores
 from groundwalk.store.files import old_folder, partial_folder
@@ -67,9 +68,8 @@ class Sandbox:
 
     def copy_to(self, folder: Path) -> "Sandbox":
         """A copy whose files are hard links, to be replaced and not written into; `rewritable` makes one a file."""
-        shutil.copytree(
-            self.folder, folder, copy_function=os.link, symlinks=True, ignore=shutil.ignore_patterns("*.lock")
-        )
+        locks = shutil.ignore_patterns("*.lock")
+        shutil.copytree(self.folder, folder, copy_function=os.link, symlinks=True, ignore=locks)
         return Sandbox(folder)
 
     def state(self) -> dict[str, str]:
@@ -84,6 +84,18 @@ class Sandbox:
                     content = path.readlink() if path.is_symlink() else f"{status.st_size} {status.st_ino}"
                     names[path.relative_to(self.folder).as_posix()] = str(content)
         return names
+
+
+def arguments(stage: str, *more: str) -> tuple[str, ...]:
+    """The command that runs a stage in a sandbox."""
+    return (stage, "--scene", SCENE, "--profile", PROFILE, "--data", "data", *more)
+
+
+def stage_case(
+    kind: str, name: str, spoil: Spoil, stage: str, exit_codes: tuple[int, ...] = (REFUSED,), **more: Any
+) -> Case:
+    """A fault that a stage, which is run, meets."""
+    return Case(kind, name, spoil, arguments(stage), exit_codes, stage, **more)
 
 
 def rewritable(path: Path) -> Path:
@@ -117,8 +129,7 @@ def run_case(case: Case, base: Sandbox, folder: Path, seed: int) -> Outcome:
         words = case.spoil(sandbox.folder, np.random.default_rng(seed))
         before = sandbox.state()
         status, text, peak = run_apart([*case.arguments], sandbox.folder, case.before)
-        after = sandbox.state()
-        touched = sorted(name for name in {*before, *after} if before.get(name) != after.get(name))
+        touched = differing(before, sandbox.state())
         outside = [name for name in touched if not name.startswith("data/")]
         changed = [name for name in touched if name not in outside and not _may_change(name, case, status, sandbox)]
         if status == DONE and case.is_same and case.writes:
@@ -140,11 +151,8 @@ def _may_change(name: str, case: Case, status: int, sandbox: Sandbox) -> bool:
 
 def unlike(folder: Path, other: Path) -> list[str]:
     """Outputs of an artefact that aren't those of another run, but for the times that it took."""
-    hashes, others = output_hashes(folder), output_hashes(other)
-    differing = [name for name in {*hashes, *others} if hashes.get(name) != others.get(name)]
-    return [
-        f"{folder.name}/{name}, unlike undisturbed" for name in differing if not _alike(folder / name, other / name)
-    ]
+    names = differing(output_hashes(folder), output_hashes(other))
+    return [f"{folder.name}/{name}, unlike undisturbed" for name in names if not _alike(folder / name, other / name)]
 
 
 def _alike(table: Path, other: Path) -> bool:

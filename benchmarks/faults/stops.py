@@ -12,23 +12,16 @@ from pathlib import Path
 import numpy as np
 from numpy.random import Generator
 
-from benchmarks.faults.artefacts import DAMAGES, arguments
-from benchmarks.faults.case import DONE, REFUSED, SIGNAL_CODES, Case, Outcome
-from benchmarks.faults.sandbox import SECONDS, Sandbox, digest, run_apart, unlike
+from benchmarks.faults.artefacts import DAMAGES
+from benchmarks.faults.case import DONE, REFUSED, SIGNAL_CODES, Case, Outcome, differing, nothing
+from benchmarks.faults.sandbox import SECONDS, Sandbox, arguments, digest, run_apart, unlike
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import partial_folder
 from groundwalk.store.manifests import MANIFEST, load_manifest, load_verified
 from groundwalk.store.settings import STAGES
 
-_SIGNALS = (
-    (signal.SIGKILL, True),
-    (signal.SIGTERM, False),
-    (signal.SIGKILL, False),
-    (signal.SIGINT, True),
-)
+_SIGNALS = ((signal.SIGKILL, True), (signal.SIGTERM, False), (signal.SIGKILL, False), (signal.SIGINT, True))
 _START_S = 4.0
-
-
 HANGS = -99  # the exit status of what didn't end by itself
 
 
@@ -49,10 +42,6 @@ def _text(sandbox: Sandbox, stage: str) -> str:
     text = path.read_text(errors="replace")
     path.unlink()
     return text
-
-
-def _nothing(folder: Path, _: Generator) -> str:
-    return ""
 
 
 def _others(sandbox: Sandbox, stage: str) -> dict[str, str]:
@@ -90,14 +79,14 @@ def stops(base: Sandbox, folder: Path, stage: str, count: int, seed: int) -> Ite
             _wait(process, final / MANIFEST if after_rename else None, SECONDS if after_rename else wait)
             status = _stop(process, which, of_group)
             words = f"{stage}: {which.name} to {'the group' if of_group else 'the parent'} {moment}"
-            case = Case("stopped", words, _nothing, (), (DONE, *SIGNAL_CODES), stage)
-            changed = _differing(others, _others(sandbox, stage)) + _broken(final)
+            case = Case("stopped", words, nothing, (), (DONE, *SIGNAL_CODES), stage)
+            changed = differing(others, _others(sandbox, stage)) + _broken(final)
             yield Outcome(case, words, status, _text(sandbox, stage), 0, changed)
             if number % 3 == 2 and not final.exists():
                 yield _with_damaged_checkpoint(sandbox, stage, rng)
             if final.exists():
                 shutil.rmtree(final)
-        case = Case("stopped, then continued", stage, _nothing, (), (DONE,), stage)
+        case = Case("stopped, then continued", stage, nothing, (), (DONE,), stage)
         status, text, peak = run_apart([*arguments(stage)], sandbox.folder)
         changed = unlike(final, base.run_of(stage)) if status == DONE else []
         yield Outcome(case, "run to its end", status, text, peak, changed)
@@ -115,7 +104,7 @@ def _with_damaged_checkpoint(sandbox: Sandbox, stage: str, rng: Generator) -> Ou
         damage(path, rng)
         words = f"{stage}: {damage.__name__} {path.name} in its partial folder"
     status, text, peak = run_apart([*arguments(stage)], sandbox.folder)
-    case = Case("checkpoint damaged", words, _nothing, (), (DONE,), stage)
+    case = Case("checkpoint damaged", words, nothing, (), (DONE,), stage)
     return Outcome(case, words, status, text, peak, _broken(sandbox.run_of(stage)))
 
 
@@ -148,13 +137,8 @@ def _stop(process: subprocess.Popen[str], which: signal.Signals, of_group: bool)
     return HANGS
 
 
-def _differing(before: dict[str, str], after: dict[str, str]) -> list[str]:
-    return sorted(name for name in {*before, *after} if before.get(name) != after.get(name))
-
-
 def pairs(base: Sandbox, folder: Path, first: str) -> Iterator[Outcome]:
-    """While a stage is made anew, every stage and `clean` on the same scene: none may disturb what it reads or
-    makes."""
+    """While a stage is made anew, every stage and `clean` on the same scene: none disturbs what it reads or makes."""
     sandbox = base.copy_to(folder)
     try:
         for second in (*STAGES, "clean"):
@@ -164,10 +148,10 @@ def pairs(base: Sandbox, folder: Path, first: str) -> Iterator[Outcome]:
             before = _others(sandbox, first)
             status, text, peak = run_apart([*arguments(second)], sandbox.folder)
             words = f"{second} while {first} is made"
-            case = Case("two at once", words, _nothing, (), (DONE, REFUSED), second)
+            case = Case("two at once", words, nothing, (), (DONE, REFUSED), second)
             ended = process.poll() is not None
             # `clean` may remove all once the stage is done.
-            changed = [] if ended and second == "clean" else _differing(before, _others(sandbox, first))
+            changed = [] if ended and second == "clean" else differing(before, _others(sandbox, first))
             _stop(process, signal.SIGKILL, True)
             said = _text(sandbox, first)
             changed += [f"{first} ended: {said.strip()[-200:]}"] if ended and process.returncode not in (0, 2) else []

@@ -29,18 +29,8 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from groundwalk.capture_import import parsing
+from groundwalk.capture_import import data_sets, parsing
 from groundwalk.capture_import.capture import Intrinsics, Limits, Recording
-from groundwalk.capture_import.data_sets import (
-    NO_DISTORTION,
-    count_in,
-    data_set_of,
-    folder_with,
-    is_metric_export,
-    lost_images,
-    named_for_testing,
-    read_reference,
-)
 from groundwalk.capture_import.formats import Format
 from groundwalk.geometry.poses import Array, inverse
 from groundwalk.store import UserError
@@ -122,7 +112,7 @@ def _read_data_set(path: Path, limits: Limits) -> _DataSet | None:
             files = [file for folder in folders for name in ("cameras.*", "images.*") for file in folder.glob(name)]
             data_set = _read_models(path, folders, limits, tuple(f.stat().st_mtime_ns for f in (path, *files)))
             largest = next(iter(data_set.models.values()))
-            if workspace == path or count_in(data_set.images, (image.name for image in largest.images)):
+            if workspace == path or data_sets.count_in(data_set.images, (image.name for image in largest.images)):
                 return data_set
     return None
 
@@ -137,15 +127,15 @@ def _suffix_in(folder: Path) -> str:
 def _read_models(path: Path, folders: tuple[Path, ...], limits: Limits, written: tuple[int, ...]) -> _DataSet:
     """`written`: when the folder's entries and its models' files last changed."""
     models = {folder: _read_model(folder, limits) for folder in folders}
-    if not is_metric_export(path):  # our own exports have each image's focal length as the phone logged it
+    if not data_sets.is_metric_export(path):  # our own exports have each image's focal length as the phone logged it
         models = {folder: _with_shared_cameras(model) for folder, model in models.items()}
     largest_first = sorted(models, key=lambda folder: -len(models[folder].images))
-    images = folder_with(path, [image.name for image in models[largest_first[0]].images])
+    images = data_sets.folder_with(path, [image.name for image in models[largest_first[0]].images])
     return _DataSet({folder: models[folder] for folder in largest_first}, images)
 
 
 def detect(path: Path) -> bool:
-    data_set = data_set_of(path, _images_of)
+    data_set = data_sets.data_set_of(path, _images_of)
     images = None if data_set is None else _images_of(data_set)
     return images is not None and images.is_dir()
 
@@ -155,17 +145,19 @@ def missing(path: Path) -> str:
         data_set = _read_data_set(path, Limits())
     except UserError:
         return "images/"
-    return lost_images([image.name for image in next(iter(data_set.models.values())).images]) if data_set else ""
+    if data_set is None:
+        return ""
+    return data_sets.lost_images([image.name for image in next(iter(data_set.models.values())).images])
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    folder = data_set_of(path, _images_of) or path
+    folder = data_sets.data_set_of(path, _images_of) or path
     data_set = _read_data_set(folder, limits)
     assert data_set is not None  # `detect` has seen a model
     (largest, model), *others = data_set.models.items()
     is_undistorted = any(any(folder.glob(name)) for name in _UNDISTORTED)
     notes, used = [], data_set.models
-    if not is_metric_export(folder):
+    if not data_sets.is_metric_export(folder):
         used = {largest: model}
         # Not those of the same images, which COLMAP's own layouts have.
         names = {image.name for image in model.images}
@@ -186,7 +178,7 @@ def read(path: Path, limits: Limits) -> Recording:
         raise UserError("an image of the model leads elsewhere", where=folder, found=error) from None
     test_list = folder / "test.txt"  # our exports write it
     listed = parsing.lines_of(test_list, limits) if test_list.is_file() else []
-    tested = named_for_testing([data_set.images], (line for _, line in listed))
+    tested = data_sets.named_for_testing([data_set.images], (line for _, line in listed))
 
     def read_row(_: Path, row: tuple[_Image, _Camera | None]) -> tuple[Array, Intrinsics]:
         image, camera = row
@@ -197,10 +189,10 @@ def read(path: Path, limits: Limits) -> Recording:
             raise parsing.BadRow("pose has a value that isn't finite or is too large")
         stated = _intrinsics(camera)
         if is_undistorted and not stated.distortion:
-            stated = replace(stated, distortion=NO_DISTORTION)
+            stated = replace(stated, distortion=data_sets.NO_DISTORTION)
         return inverse(cam_T_world), stated
 
-    return read_reference(path, folder, rows, read_row, tested, notes)
+    return data_sets.read_reference(path, folder, rows, read_row, tested, notes)
 
 
 def _with_shared_cameras(found: _Model) -> _Model:

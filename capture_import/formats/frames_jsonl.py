@@ -103,9 +103,5 @@ def _intrinsics(row: dict[str, Any]) -> Intrinsics:
 
 
 FORMAT = Format(
-    id="frames_jsonl",
-    label="frames.jsonl (our own)",
-    meaning="images, VIO, depth",
-    files=("frames.jsonl",),
-    read=read,
+    id="frames_jsonl", label="frames.jsonl (our own)", meaning="images, VIO, depth", files=("frames.jsonl",), read=read
 )

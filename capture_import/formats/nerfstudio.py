@@ -24,18 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from groundwalk.capture_import import parsing
+from groundwalk.capture_import import data_sets, parsing
 from groundwalk.capture_import.capture import Intrinsics, Limits, Recording, Reject
-from groundwalk.capture_import.data_sets import (
-    NO_DISTORTION,
-    data_set_of,
-    folder_with,
-    lost_images,
-    named_for_testing,
-    named_image,
-    read_reference,
-    size_of,
-)
 from groundwalk.capture_import.formats import Format
 from groundwalk.geometry.poses import Array, inverse, make_pose, rigidity_error
 from groundwalk.store import UserError
@@ -88,21 +78,21 @@ def _moved(data_set: Path, images: list[Path]) -> list[Path]:
     names = [image.name for image in images]
     if any(image.is_file() for image in images) or len(set(names)) < len(names):
         return images
-    return [folder_with(data_set, names) / name for name in names]
+    return [data_sets.folder_with(data_set, names) / name for name in names]
 
 
 def missing(path: Path) -> str:
     logs = _logs(path)
     lost = _lost(logs, _written(logs)) if logs else []
-    return lost_images([image.relative_to(path).as_posix() for image in lost]) if lost else ""
+    return data_sets.lost_images([image.relative_to(path).as_posix() for image in lost]) if lost else ""
 
 
 def detect(path: Path) -> bool:
-    return data_set_of(path, _images_of) is not None
+    return data_sets.data_set_of(path, _images_of) is not None
 
 
 def read(path: Path, limits: Limits) -> Recording:
-    data_set = data_set_of(path, _images_of) or path
+    data_set = data_sets.data_set_of(path, _images_of) or path
     rows: list[tuple[str, Path, tuple[Array, dict[str, Any]]]] = []
     nameless: list[Reject] = []
     tested: set[Path] = set()
@@ -123,7 +113,7 @@ def read(path: Path, limits: Limits) -> Recording:
             if file.name == _TEST_FILE:
                 tested.add(image)
         listed = content.get("test_filenames")
-        tested |= named_for_testing(_folders(data_set), listed if isinstance(listed, list) else ())
+        tested |= data_sets.named_for_testing(_folders(data_set), listed if isinstance(listed, list) else ())
 
     def read_row(image: Path, row: tuple[Array, dict[str, Any]]) -> tuple[Array, Intrinsics]:
         world_T_file, stated = row
@@ -137,7 +127,7 @@ def read(path: Path, limits: Limits) -> Recording:
         assumed.append(f"no image is where its row says: those of the same names in {folder}/ are read")
     rows = [(source, moved[image], row) for source, image, row in rows]
     tested = {moved.get(image, image) for image in tested}
-    recording = read_reference(path, data_set, rows, read_row, tested, assumed)
+    recording = data_sets.read_reference(path, data_set, rows, read_row, tested, assumed)
     # Rows without an image are of no folder: they are listed once, with the first image's recording.
     is_first = not rows or path in (data_set, rows[0][1].parent)
     return replace(recording, rejects=[*recording.rejects, *nameless]) if is_first else recording
@@ -155,7 +145,7 @@ def _with_matrix(row: dict[str, Any]) -> dict[str, Any]:
 def _image(data_set: Path, row: Any) -> Path:
     if not isinstance(row, dict):
         raise parsing.BadRow("frame is no object")
-    return named_image(_folders(data_set), row.get("file_path"))
+    return data_sets.named_image(_folders(data_set), row.get("file_path"))
 
 
 def _folders(data_set: Path) -> tuple[Path, ...]:
@@ -193,20 +183,20 @@ def _intrinsics(row: dict[str, Any], image: Path) -> Intrinsics:
         raise parsing.BadRow(f"camera_model {str(model)[:40]} is none of {', '.join(_MODELS)}")
     stated = parsing.optional_size(row, ("w", "h"))
     is_complete = {"fl_x", "fl_y", "cx", "cy"} <= row.keys()
-    width, height = size_of(image) if stated[0] is None and not is_complete else stated
+    width, height = data_sets.size_of(image) if stated[0] is None and not is_complete else stated
     fx = _focal_length(row, "x", width)
     fy = _focal_length(row, "y", height) if {"fl_y", "camera_angle_y"} & row.keys() else fx
     cx = parsing.number(row, "cx") if "cx" in row or width is None else width / 2
     cy = parsing.number(row, "cy") if "cy" in row or height is None else height / 2
     if model == "OPENCV_FISHEYE":
-        width, height = size_of(image) if width is None or height is None else (width, height)
+        width, height = data_sets.size_of(image) if width is None or height is None else (width, height)
         return parsing.fisheye_intrinsics((fx, fy, cx, cy), width, height, _coefficients(row, _FISHEYE))
     if row.get("k4"):
         raise parsing.BadRow("distortion k4 has no place in OpenCV's model of k1, k2, p1, p2, k3")
     distortion = _coefficients(row, _DISTORTION)
     known = distortion if model == "OPENCV" and any(distortion) else ()
     if model == "PINHOLE" and not any(distortion):
-        known = NO_DISTORTION
+        known = data_sets.NO_DISTORTION
     return Intrinsics(fx, fy, cx, cy, *stated, known)
 
 

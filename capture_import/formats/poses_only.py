@@ -13,6 +13,7 @@ seconds since the phone was started, and `pose`, column-major, ARKit's camera to
 """
 
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,28 +74,17 @@ def read_invisible_map(path: Path, limits: Limits) -> Recording:
     return Recording("iOS", Clock.BOOT, path.parent, frames, rejects)
 
 
-ARKIT_LOGGER = Format(
-    id="arkit_logger",
-    label="ARKit Data Logger",
-    meaning="VIO only",
-    files=("ARKit_camera_pose*.txt",),
-    is_file=True,
-    read=read_arkit,
+_of_one_file = partial(Format, meaning="VIO only", is_file=True)
+ARKIT_LOGGER = _of_one_file(
+    id="arkit_logger", label="ARKit Data Logger", files=("ARKit_camera_pose*.txt",), read=read_arkit
 )
-ARCORE_LOGGER = Format(
-    id="arcore_logger",
-    label="ARCore Data Logger",
-    meaning="VIO only",
-    files=("ARCore_sensor_pose*.txt",),
-    is_file=True,
-    read=read_arcore,
+ARCORE_LOGGER = _of_one_file(
+    id="arcore_logger", label="ARCore Data Logger", files=("ARCore_sensor_pose*.txt",), read=read_arcore
 )
-INVISIBLE_MAP = Format(
+INVISIBLE_MAP = _of_one_file(
     id="invisible_map",
     label="Invisible Map walk",
-    meaning="VIO only",
     files=("*.json",),
-    is_file=True,
     detect=is_invisible_map,
     looks_for="a JSON file with pose_data",
     read=read_invisible_map,

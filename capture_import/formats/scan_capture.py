@@ -60,9 +60,5 @@ def _read_row(_: int, line: str) -> RawFrame:
 
 
 FORMAT = Format(
-    id="scan_capture",
-    label="ScanCapture (LaMAR)",
-    meaning="video, VIO",
-    files=("poses.txt", "images.mp4"),
-    read=read,
+    id="scan_capture", label="ScanCapture (LaMAR)", meaning="video, VIO", files=("poses.txt", "images.mp4"), read=read
 )

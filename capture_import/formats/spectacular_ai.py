@@ -79,9 +79,8 @@ def _read_image(video: Path, index: int, line: str) -> RawFrame:
     if not isinstance(frames, list) or not frames or not isinstance(frames[0], dict):
         raise parsing.BadRow("frames is empty")
     camera = parsing.intrinsics(frames[0].get("cameraParameters"), _CAMERA)
-    return RawFrame(
-        parsing.seconds_to_ns(parsing.number(content, "time")), image=VideoFrame(video, index), intrinsics=camera
-    )
+    t_ns = parsing.seconds_to_ns(parsing.number(content, "time"))
+    return RawFrame(t_ns, image=VideoFrame(video, index), intrinsics=camera)
 
 
 FORMAT = Format(

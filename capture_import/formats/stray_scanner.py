@@ -65,9 +65,5 @@ def _camera_matrix(file: Path) -> Intrinsics:
 
 
 FORMAT = Format(
-    id="stray_scanner",
-    label="Stray Scanner",
-    meaning="video, VIO, depth",
-    files=("odometry.csv", "rgb.mp4"),
-    read=read,
+    id="stray_scanner", label="Stray Scanner", meaning="video, VIO, depth", files=("odometry.csv", "rgb.mp4"), read=read
 )

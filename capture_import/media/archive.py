@@ -21,16 +21,8 @@ _MIN_FREE_BYTES = 256 << 20
 _ANY_RATIO_BYTES = 100 << 20
 # What the standard library raises for members that are damaged or use what it doesn't know.
 _BROKEN = (
-    zipfile.BadZipFile,
-    zipfile.LargeZipFile,
-    zlib.error,
-    lzma.LZMAError,
-    struct.error,
-    NotImplementedError,
-    RuntimeError,
-    EOFError,
-    OSError,
-    ValueError,
+    *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, lzma.LZMAError, struct.error),
+    *(NotImplementedError, RuntimeError, EOFError, OSError, ValueError),
 )
 
 

@@ -109,8 +109,7 @@ class FaceDetector:
 
 @dataclass(frozen=True)
 class Blurring:
-    """What is to be blurred: in an image that `boxes` lists, by its frame_id, these; in others what `detect` finds,
-    where it's given."""
+    """What is blurred: in an image that `boxes` lists, by frame_id, these; in others what `detect`, if given, finds."""
 
     detect: Detector | None = None
     boxes: Mapping[str, list[Region]] = field(default_factory=dict)

@@ -89,22 +89,20 @@ def _place(image: Image, where: Placement) -> dict[str, str] | tuple[str, str]:
     return columns
 
 
-def _decode(
-    file: Path, data: bytes, dtype: np.dtype[Any], size: tuple[int, int], max_megapixels: float
-) -> NDArray[Any]:
+def _decode(file: Path, raw: bytes, dtype: np.dtype[Any], size: tuple[int, int], max_megapixels: float) -> NDArray[Any]:
     """Pixels (H, W) of a depth image, in millimetres, or of a confidence image."""
     if file.suffix in _FLOAT_SUFFIXES:
         if missing := missing_decoder(file):
             raise BadImage(f"can't be decoded: {missing}")
         if file.suffix == ".conf":
-            return _of_lzfse(data, dtype, size)
-        metres = _of_exr(data) if file.suffix == ".exr" else _of_lzfse(data, np.dtype("<f4"), size)
+            return _of_lzfse(raw, dtype, size)
+        metres = _of_exr(raw) if file.suffix == ".exr" else _of_lzfse(raw, np.dtype("<f4"), size)
         with np.errstate(invalid="ignore", over="ignore"):
             rounded = np.round(1000 * metres.astype(np.float64))
         # 0 where there is no depth, or more than 16 bits hold.
         return np.where((rounded > 0) & (rounded <= _MAX_MM), rounded, 0).astype(np.uint16)
-    image_size(data, max_megapixels)
-    pixels = decoded(data, cv2.IMREAD_UNCHANGED)
+    image_size(raw, max_megapixels)
+    pixels = decoded(raw, cv2.IMREAD_UNCHANGED)
     if pixels.dtype != dtype or pixels.ndim != 2:
         channels = 1 if pixels.ndim == 2 else pixels.shape[2]
         raise BadImage(f"has {channels} channels of {8 * pixels.itemsize} bits, not 1 of {8 * dtype.itemsize}")
@@ -140,8 +138,7 @@ def _of_lzfse(data: bytes, dtype: np.dtype[Any], size: tuple[int, int]) -> NDArr
 
 
 def _of_exr(data: bytes) -> NDArray[Any]:
-    """Pixels (H, W), float32, of an OpenEXR image's only channel, or of its red one; BadImage where it can't be
-    decoded."""
+    """Pixels (H, W), float32, of an OpenEXR image's only channel, or its red one; BadImage if it can't be decoded."""
     if not data.startswith(_EXR_START):
         raise BadImage("is no OpenEXR file")
     pixels = decoded(data, cv2.IMREAD_UNCHANGED)

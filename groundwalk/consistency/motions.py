@@ -92,9 +92,8 @@ def compare_motions(a_T_b_images: ArrayLike, a_T_b_vio: ArrayLike, *, common_sca
         mirrored[:, :3, :3] = mirror @ vio[:, :3, :3] @ mirror
         mirrored[:, :3, 3] = vio[:, :3, 3] @ mirror
         mirrors[name] = float(np.mean(_explained(images, mirrored, common_scale)))
-    return MotionAgreement(
-        agree, len(vio), float(np.mean(explained)), mirrors, *_turn_gain(images[explained], vio[explained])
-    )
+    gain = _turn_gain(images[explained], vio[explained])
+    return MotionAgreement(agree, len(vio), float(np.mean(explained)), mirrors, *gain)
 
 
 def _explained(images: Array, vio: Array, common_scale: bool) -> np.ndarray:

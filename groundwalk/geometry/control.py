@@ -53,8 +53,7 @@ def fit_control(
 
 
 def _fit(survey: Array, sd_m: Array, xyz: Array, covariance: Array, used: Mask, *, rigid: bool) -> tuple[Sim3, Array]:
-    """The least squares weighted by the points' variances, and its covariance (7, 7), which the residuals' scatter
-    widens."""
+    """The least squares weighted by the points' variances, and its covariance (7, 7), widened by residuals' scatter."""
     unit = 1.0 if rigid else fit_similarity(survey[used], xyz[used], np.ones(used.sum()), rigid=False).scale
     variance = sd_m[used] ** 2 + unit**2 * np.trace(covariance[used], axis1=1, axis2=2) / 3
     weights = 1 / variance
@@ -72,8 +71,7 @@ def _fit(survey: Array, sd_m: Array, xyz: Array, covariance: Array, used: Mask, 
 
 
 def similarity_jacobian(fit: Sim3, xyz: Array, middle: Array) -> tuple[Array, Array]:
-    """Derivatives (N, 3, 7) of fitted points by a turn and shift about `middle` (3,) and the log scale, and how far
-    (N, 3) the points are from it."""
+    """Derivatives (N, 3, 7) of fitted points by turn and shift about `middle` (3,) and log scale, and errors (N, 3)."""
     arm = fit.scale * (xyz - middle) @ fit.rotation.T
     identity = np.broadcast_to(np.eye(3), (len(arm), 3, 3))
     return np.concatenate([-skew(arm), identity, arm[:, :, None]], axis=2), arm

@@ -246,9 +246,7 @@ def rotation_to_up(up: ArrayLike) -> Array:
     return np.array([[1 - k * x * x, -x, -k * x * z], [x, y, z], [-k * x * z, -z, 1 - k * z * z]])
 
 
-def _checked(
-    xyz_a: ArrayLike, xyz_b: ArrayLike, weights: ArrayLike | None, min_points: int
-) -> tuple[Array, Array, Array]:
+def _checked(xyz_a: ArrayLike, xyz_b: ArrayLike, weights: ArrayLike | None, least: int) -> tuple[Array, Array, Array]:
     """Both point sets and weights of sum 1; GeometryError for too few, different, unfinite or weightless ones."""
     a, b = np.asarray(xyz_a, dtype=float), np.asarray(xyz_b, dtype=float)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 3:
@@ -256,8 +254,8 @@ def _checked(
     w = np.ones(len(a)) if weights is None else np.asarray(weights, dtype=float)
     if w.shape != (len(a),) or not np.all(w >= 0):
         raise GeometryError(f"weights must be {len(a)} numbers of 0 or more; got shape {w.shape}")
-    if np.count_nonzero(w) < min_points:
-        raise GeometryError(f"this fit needs {min_points} or more points of weight; got {np.count_nonzero(w)}")
+    if np.count_nonzero(w) < least:
+        raise GeometryError(f"this fit needs {least} or more points of weight; got {np.count_nonzero(w)}")
     if not (np.isfinite(a).all() and np.isfinite(b).all() and np.isfinite(w).all()):
         raise GeometryError("a fit needs finite points and weights")
     return a, b, w / w.sum()

@@ -173,19 +173,9 @@ def measure(
     frames = np.unique(used.frame)
     rays = model_T_cam[frames, :3, 3] - np.nanmean(xyz, axis=0)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    return RulerFit(
-        float(np.log(scale)),
-        sd,
-        xyz,
-        fitted,
-        residual,
-        inlier,
-        frames,
-        float(np.arccos(np.clip(rays @ rays.T, -1, 1)).max()),
-        pixel_sd,
-        _is_seen_from_behind(corners, fitted, model_T_cam[frames, :3, 3]),
-        _flatness(corners, xyz),
-    )
+    spread = float(np.arccos(np.clip(rays @ rays.T, -1, 1)).max())
+    shape = _is_seen_from_behind(corners, fitted, model_T_cam[frames, :3, 3]), _flatness(corners, xyz)
+    return RulerFit(float(np.log(scale)), sd, xyz, fitted, residual, inlier, frames, spread, pixel_sd, *shape)
 
 
 def triangulate_points(

@@ -89,9 +89,8 @@ class Preprocessing:
         camera = query.camera.resized(pixels.shape[1], pixels.shape[0])
         factor = float(self.lens["focal_factor"])
         distortion = tuple(map(float, self.lens["distortion"]))
-        view = _View(
-            pixels, replace(camera, fx=camera.fx * factor, fy=camera.fy * factor, distortion=distortion), query.gravity
-        )
+        camera = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor, distortion=distortion)
+        view = _View(pixels, camera, query.gravity)
         for step in self.steps:
             view = _STEPS[step["step"]](view, step)
             yield step["step"], view.pixels

@@ -20,9 +20,8 @@ CONFIDENCE = 0.95
 def draws(sessions: int, seed: int | np.random.Generator = 0) -> Array:
     """How often each session is drawn, (1 + DRAWS, S): first each once, then drawn with replacement."""
     rng = np.random.default_rng(seed)
-    return np.concatenate(
-        [np.ones((1, sessions)), rng.multinomial(sessions, np.full(sessions, 1 / sessions), size=DRAWS)]
-    )
+    drawn = rng.multinomial(sessions, np.full(sessions, 1 / sessions), size=DRAWS)
+    return np.concatenate([np.ones((1, sessions)), drawn])
 
 
 def drawn_figures(

@@ -11,15 +11,8 @@ if TYPE_CHECKING:
 
 __all__ = ["DataRoot", "SceneConfig", "Settings", "Stage", "StageRun", "UserError", "execute"]
 
-_MODULES = {
-    "DataRoot": "settings",
-    "SceneConfig": "settings",
-    "Settings": "settings",
-    "Stage": "definition",
-    "StageRun": "stage",
-    "UserError": "errors",
-    "execute": "stage",
-}
+_MODULES = dict.fromkeys(("DataRoot", "SceneConfig", "Settings"), "settings")
+_MODULES |= {"Stage": "definition", "StageRun": "stage", "UserError": "errors", "execute": "stage"}
 
 
 def __getattr__(name: str) -> Any:

@@ -94,9 +94,7 @@ def in_children(text: str, log: Path, remedy: str, tasks: list[Task]) -> list[An
         with Reporter(text, None if None in totals else sum(t or 0 for t in totals)) as reporter:
             while open_ones := [r for r in running if not r.result]:
                 ready = wait([r.pipe for r in open_ones])
-                errors = [
-                    error for one in open_ones if one.pipe in ready if (error := _receive(one, text, log, remedy))
-                ]
+                errors = [e for one in open_ones if one.pipe in ready if (e := _receive(one, text, log, remedy))]
                 if errors:
                     # One that died, or was refused, is the reason of what those it worked with have to say.
                     errors += _errors_of_others(open_ones, text, log, remedy)

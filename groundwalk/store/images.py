@@ -43,10 +43,9 @@ def verify_images(captures: Path, imported: Path) -> None:
     """UserError where an image of import's frames isn't the one that import saw, by the hash that it noted; those that
     it copied are among its outputs, and verified as these."""
     # Here, so that whoever only reads an image needs no pandas.
-    from groundwalk.store.schemas import schema
-    from groundwalk.store.tables import read_table
+    from groundwalk.store.tables import table_of
 
-    frames = read_table(imported / "frames.parquet", schema("import", "frames"))
+    frames = table_of(imported.parent, "import", "frames")
     frames = frames[~frames["image"].str.startswith(IMPORTED)]
     expected = dict(zip(frames["image"], frames["image_sha256"], strict=True))
     hashes = hash_files(captures, [captures / name for name in expected if (captures / name).is_file()])
@@ -61,9 +60,8 @@ def verify_images(captures: Path, imported: Path) -> None:
 
 
 def read_image(path: Path, *, reduced: int = 1) -> Image:
-    """An image file as RGB (H, W, 3), as the sensor has it (a turn in the file's EXIF is left out, since poses and
-    intrinsics are the sensor's); `reduced` so many times (1, 2, 4 or 8) smaller. UserError where it isn't there or
-    can't be decoded."""
+    """An image file as RGB (H, W, 3), as the sensor has it (no turn of the file's EXIF, since poses and intrinsics are
+    the sensor's); `reduced` so many times (1, 2, 4 or 8) smaller. UserError where it can't be read or decoded."""
     # OpenCV prints a warning of its own for a file that isn't there.
     is_there = path.exists()
     image = cv2.imread(str(path), _REDUCED[reduced] | cv2.IMREAD_IGNORE_ORIENTATION) if is_there else None
@@ -100,8 +98,7 @@ def small_jpeg(path: Path, long_side: int, gravity_x: float, gravity_y: float) -
 
 
 def exif_orientation(path: Path) -> int:
-    """How EXIF says that an image's pixels are turned, 1 to 8 (TIFF 6.0, Orientation); 1, as they are, where it
-    doesn't."""
+    """How EXIF says that an image's pixels are turned, 1 to 8 (TIFF 6.0, Orientation); 1, as they are, without it."""
     import PIL.ExifTags
     import PIL.Image
 

@@ -91,8 +91,7 @@ def is_whole(folder: Path, key: str) -> bool:
 
 
 class Replaced(NamedTuple):
-    """An artefact that was made from another one than is there now: which one it is, and from which, as scene and
-    stage."""
+    """An artefact made from another one than is there now: which one it is, and from which, as scene and stage."""
 
     artefact: tuple[str, str]
     source: tuple[str, str]

@@ -75,9 +75,8 @@ def _copy(source: BinaryIO, target: BinaryIO, failure: list[BaseException]) -> N
 
 def tabbed(tabs: Iterable[rrb.Container]) -> rrb.Blueprint:
     """A blueprint of tabs over the frames."""
-    return rrb.Blueprint(
-        rrb.Tabs(*tabs), rrb.TimePanel(timeline=FRAME_TIMELINE, state="collapsed"), collapse_panels=True
-    )
+    panel = rrb.TimePanel(timeline=FRAME_TIMELINE, state="collapsed")
+    return rrb.Blueprint(rrb.Tabs(*tabs), panel, collapse_panels=True)
 
 
 def set_time(stream: rr.RecordingStream, t_ns: int) -> None:
@@ -99,19 +98,16 @@ def log_camera(
     Frusta are pinholes: an image shown in one has to be free of distortion for what lies before it to fall on it.
     """
     stream.log(path, rr.Transform3D(translation=world_T_cam[:3, 3], mat3x3=world_T_cam[:3, :3]), static=static)
-    stream.log(
-        f"{path}/image",
-        rr.Pinhole(
-            focal_length=(frame.fx, frame.fy),
-            principal_point=(frame.cx, frame.cy),
-            width=int(frame.width),
-            height=int(frame.height),
-            camera_xyz=rr.ViewCoordinates.RDF,
-            image_plane_distance=size_m,
-            color=colour,
-        ),
-        static=static,
+    pinhole = rr.Pinhole(
+        focal_length=(frame.fx, frame.fy),
+        principal_point=(frame.cx, frame.cy),
+        width=int(frame.width),
+        height=int(frame.height),
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=size_m,
+        color=colour,
     )
+    stream.log(f"{path}/image", pinhole, static=static)
 
 
 def log_images(stream: rr.RecordingStream, path: str, frames: pd.DataFrame, times: list[tuple[str, Array]]) -> None:

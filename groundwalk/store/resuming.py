@@ -36,9 +36,7 @@ def run_resumable(work: Path, key: str, title: str, force: bool, attempt: Callab
         except Exception as error:
             if not may_be_damage(error):
                 raise
-            cause = (
-                f"{type(error).__name__}: {str(error).splitlines()[0][:200]}" if str(error) else type(error).__name__
-            )
+            cause = type(error).__name__ + (f": {str(error).splitlines()[0][:200]}" if str(error) else "")
             progress.console.print(f"  the checkpoints are damaged ({cause}): dropped, starting anew")
     with _what_the_same_command_does(work, again):
         shutil.rmtree(work, ignore_errors=True)

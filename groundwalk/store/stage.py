@@ -32,14 +32,7 @@ from groundwalk.store.registry import Lazy, PluginError
 from groundwalk.store.resuming import run_resumable
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot, SceneConfig, Settings
-from groundwalk.store.tables import (
-    dataset_frames,
-    map_unit,
-    read_table,
-    scale_warning,
-    with_gravity_of_map,
-    write_table,
-)
+from groundwalk.store.tables import dataset_frames, map_unit, scale_warning, table_of, with_gravity_of_map, write_table
 
 S = TypeVar("S", bound=Settings)
 T = TypeVar("T")
@@ -117,7 +110,7 @@ class StageRun(Generic[S]):
 
     def read(self, stage: str, table: str, scene: str | None = None) -> pd.DataFrame:
         """A table of a finished stage of this scene (or of a group's member)."""
-        return read_table(self.folder(stage, scene) / f"{table}.parquet", schema(stage, table))
+        return table_of(self.folder(stage, scene).parent, stage, table)
 
     def dataset_frames(self, scene: str | None = None) -> pd.DataFrame:
         """import.frames without support frames, and without gravity in a map without a vertical: what every stage reads

@@ -17,7 +17,7 @@ from groundwalk.geometry.poses import Array, pose_from_tq, tq_from_pose
 from groundwalk.store.choices import Clock, MapUnit, ScaleSource, VerticalSource
 from groundwalk.store.errors import UserError
 from groundwalk.store.files import leads_outside, written_aside
-from groundwalk.store.schemas import TableSchema
+from groundwalk.store.schemas import TableSchema, schema
 
 CAMERA_COLUMNS = ["fx", "fy", "cx", "cy", "distortion"]
 GUESS_SD = 0.5
@@ -92,6 +92,11 @@ def read_table(path: Path, schema: TableSchema) -> pd.DataFrame:
     present = [c for c in schema.column_names if c in table.column_names]
     frame: pd.DataFrame = table.select(present).to_pandas().reindex(columns=schema.column_names)
     return frame
+
+
+def table_of(run: Path, stage: str, table: str) -> pd.DataFrame:
+    """A table of a stage of the run data/runs/<profile>/<scene>; UserError as of `read_table`."""
+    return read_table(run / stage / f"{table}.parquet", schema(stage, table))
 
 
 def read_parquet(path: Path) -> pd.DataFrame:
@@ -200,8 +205,7 @@ def pose_frame(prefix: str, poses: Array) -> pd.DataFrame:
 
 
 def covariance_numbers(cell: object) -> Array | None:
-    """The numbers (36,) of a cell of a column of covariances, a list of them or of the matrix's six rows; None where it
-    holds anything else."""
+    """The numbers (36,) of a cell of a column of covariances, a list of them or of the matrix's rows; else None."""
     if not isinstance(cell, list | np.ndarray):
         return None
     try:

@@ -7,12 +7,11 @@ from groundwalk.store.errors import UserError
 from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
 from groundwalk.store.simulated import TRUE_POSES
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.tables import poses_of, read_table, table_of
 
 
 def true_poses_of(frames: pd.DataFrame, scene: str, profile: str, root: DataRoot) -> Array:
-    """map_T_cam (N, 4, 4) of a simulated scene's frames (columns session_id, t_ns), by the simulator; NaN where it has
-    none."""
+    """map_T_cam (N, 4, 4) of a simulated scene's frames (columns session_id, t_ns), by the simulator, or NaN."""
     path = root.captures(scene) / TRUE_POSES
     if not path.is_file():
         raise UserError(
@@ -21,7 +20,7 @@ def true_poses_of(frames: pd.DataFrame, scene: str, profile: str, root: DataRoot
             expected="the simulator's true_poses.parquet",
             do="this check is for simulated scenes",
         )
-    sessions = read_table(root.run(profile, scene, "import") / "sessions.parquet", schema("import", "sessions"))
+    sessions = table_of(root.run(profile, scene), "import", "sessions")
     recording = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
     keys = pd.DataFrame({"session_id": frames["session_id"].map(recording), "t_ns": frames["t_ns"]})
     truth = read_table(path, schema("simulate", "true_poses"))

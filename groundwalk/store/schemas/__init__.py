@@ -85,6 +85,7 @@ def tables(stage: str, text: str) -> list[TableSchema]:
         quality (QualityClass): text that is one of these choices
         gravity_{xyz} (float64): three columns; {} in the meaning stands for the letter
         map_cam (pose?): the seven columns of the pose group map_cam, of map_T_cam: tx ty tz (m), qx qy qz qw (unit)
+        = frame_id t_ns    these columns, as the first table of the text that has them declares them
     """
     found: list[TableSchema] = []
     for entry in re.split(r"\n(?= {0,4}\S)", text.strip("\n")):
@@ -92,6 +93,9 @@ def tables(stage: str, text: str) -> list[TableSchema]:
         name, _, more = head.partition(" ")
         if not entry.startswith(" "):
             found.append(TableSchema(stage, name, meaning, [], more))
+        elif name == "=":
+            declared = {column.name: column for table in reversed(found) for column in table.columns}
+            found[-1].columns.extend(declared[one] for one in more.split())
         else:
             found[-1].columns.extend(_columns(name, more.strip("()"), meaning))
     return found

@@ -40,8 +40,7 @@ frames 2.5: Images that are used, each with its intrinsics and the phone's pose:
         127, 255 for low, medium, high. Null where there is none
 
 sessions 3.4: The recordings of a capture.
-    session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one
-        camera of several (`walk.camera2`)
+    = session_id
     recording (string): the recording that the session is, or is a part of
     format (string): capture format, as `groundwalk formats` lists it
     device (string): phone, as far as the capture says
@@ -66,8 +65,7 @@ sessions 3.4: The recordings of a capture.
         the accelerometer, lines in the images or the start pose
 
 rejects 1.2: Rows, files and recordings that were rejected; images that sampling didn't select aren't here.
-    session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one
-        camera of several (`walk.camera2`)
+    = session_id
     source (string): file or row in the capture
     t_ns (int64?, ns): time on the session's clock, where it could be read
     reason (string): why
@@ -76,8 +74,7 @@ rejects 1.2: Rows, files and recordings that were rejected; images that sampling
 
 jumps 1.0: Motion between two poses that no hand can do: relocalisations of the odometry; and steps over poses that the
         phone calls limited or lost, where these stood still or went elsewhere.
-    session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one
-        camera of several (`walk.camera2`)
+    = session_id
     t_ns (int64, ns): time of the first pose after the jump
     dt_s (float64, s): time between the two poses
     jump_m (float64, m): displacement beyond the motion around it
@@ -86,8 +83,7 @@ jumps 1.0: Motion between two poses that no hand can do: relocalisations of the 
 
 reference 1.0: Poses that a public data set has instead of VIO; no rows for phone captures. Its world is the data set's.
     frame_id (string): frame, as in `frames`
-    session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one
-        camera of several (`walk.camera2`)
+    = session_id
     t_ns (int64, ns): time on the session's clock; where that is name_order, the place in the order of names times 1e9
     map_cam (pose): map_T_cam by the data set
 
@@ -101,8 +97,7 @@ gps 1.0: Positions on earth (WGS84) that photos and logs state; there only where
     altitude_sd_m (float64?, m): standard error of the altitude, as stated
 
 vio 1.0: All sound poses of the odometry at its full rate, also those without an image.
-    session_id (string): recording; a part of one where VIO jumped or a video was cut (`walk`, `walk.part2`), or of one
-        camera of several (`walk.camera2`)
+    = session_id
     t_ns (int64, ns): time on the session's clock; where that is name_order, the place in the order of names times 1e9
     vio_cam (pose): vio_T_cam by the phone's odometry
     tracking (Tracking): the odometry's state

@@ -75,9 +75,7 @@ models 3.0: Every model of the selected attempt, in the order in which mapping b
     observations (int64): features that see a point
     mean_track_length (float64): observations a point
     mean_reprojection_px (float64, px): mean distance of features from their points
-    held_out_matches (int64): verified matches that were left out of mapping and adjustment
-    held_out_px (float64?, px): median Sampson distance of held-out matches from the final poses
-    fitted_px (float64?, px): median Sampson distance of the matches that were adjusted to
+    = held_out_matches held_out_px fitted_px
 
 attempts 2.1: The attempts at models of enough frames whose motion is consistent with VIO, in order.
     attempt (AttemptName): what it changes
