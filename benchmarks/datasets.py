@@ -65,7 +65,8 @@ def main(
 
 
 def run_scenes(captures: Path, published: pd.DataFrame, data: DataRoot, profile: str) -> list[str]:
-    """Run the scenes whose folders are there up to train, in turn; those that failed. UserError where there is none."""
+    """Run the scenes whose folders are there up to train, one after the other; those that failed. UserError where there
+    is none."""
     if not captures.is_dir():
         raise UserError("there is no such folder", where=captures)
     folders = {path.name.lower(): path for path in [*captures.glob("*/*/"), *captures.glob("*/")]}
@@ -85,7 +86,8 @@ def run_scenes(captures: Path, published: pd.DataFrame, data: DataRoot, profile:
 
 
 def _of_sequence(data: DataRoot, profile: str, scene: str) -> list[str]:
-    """What structure localisers, and regressors if trained, say of the last part of a sequence by the rest of it."""
+    """What structure localisers, and regressors where they were trained, say of the last part of a sequence by the
+    rest of it."""
     stages = ["import", "align", "localise"]
     if (data.run(profile, scene, "train") / MANIFEST).is_file():
         stages.append("train")

@@ -43,7 +43,8 @@ _FOLLOWED = ("drift_aware", "error_state", "last_good", RULE)  # window30 and po
 @dataclass(frozen=True)
 class Trouble:
     """Something that goes wrong at a frame. spoilt: the walk with it, from a frame on. lasts_s: how long; recovery is
-    counted from its end. within_s: how soon a method should recover. rate: frames a second, one with a prediction."""
+    counted from its end. within_s: how soon a method should have recovered. rate: frames a second, of which one has a
+    prediction."""
 
     name: str
     spoilt: Callable[[Walk, int, np.random.Generator], Walk]

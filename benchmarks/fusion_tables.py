@@ -80,7 +80,8 @@ def write_cases(folder: Path, cases: Sequence[Case]) -> None:
 
 
 def write_trained(folder: Path, trained: Path, models: Sequence[str]) -> list[str]:
-    """Tables of each scene and seed that all of the models were trained with, and their names; UserError of none."""
+    """The tables of each scene and seed that all of the models were trained with, and their names; UserError where
+    there is none."""
     names = []
     for first in sorted(trained.glob(f"{models[0]}-[0-9]*/runs/*/*/train")):
         profile, scene, seed = first.parts[-3], first.parts[-2], first.parts[-5].removeprefix(f"{models[0]}-")

@@ -184,8 +184,9 @@ def _named(text: str) -> str:
 
 
 def _labels(data: DataRoot, scene: str) -> dict[str, Any]:
-    """What the frames of a case were given, and how right it is: how many there are, are registered, have ground truth,
-    have a wrong one, both of class A and B, have none though registered, and are right among these; worst, metres."""
+    """What the frames of a case were given, and how right it is: how many there are, are registered, have ground truth
+    and a wrong one, the same of class A and B, have none although registered, and are right among these; and the
+    largest error given out, metres."""
     run = data.run(PROFILE, scene)
     if not (run / "align" / "ground_truth.parquet").is_file():
         return {}

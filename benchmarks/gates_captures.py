@@ -1,4 +1,5 @@
-"""Small simulated captures for `benchmarks.gates`: three walks over one stretch, and a corridor of look-alikes."""
+"""Small simulated captures for `benchmarks.gates`: three walks over the same stretch of a place, and a corridor whose
+stretches look alike."""
 
 import shutil
 import zlib
@@ -48,7 +49,8 @@ class Capture:
 
 
 def write_capture(folder: Path, capture: Capture, plan: SceneryPlan | None = None) -> None:
-    """Render a capture into a new `folder`, its true poses beside it; through `plan` where its place isn't ours."""
+    """Render a capture into `folder`, which must not be there, with its true poses beside it; through `plan` where its
+    place isn't one of ours."""
     if plan is None:
         plan = _corridor(capture.seed) if capture.place == CORRIDOR else scenery(capture.place, capture.seed)
     if capture.length_m is not None:

@@ -40,7 +40,8 @@ def true_poses(scene: str, root: DataRoot) -> Array:
 def ground_truth_targets(
     scene: str, root: DataRoot, profile: str = PROFILE
 ) -> tuple[pd.DataFrame, list[TruthTarget], int]:
-    """Ground truth of a simulated scene, how it compares with the truth, and how many frames its bounds are about."""
+    """The ground truth of a simulated scene, how it compares with the truth, and how many frames its bounds are
+    about."""
     run = root.run(profile, scene)
     gt, figures = table_of(run, "align", "ground_truth"), load_manifest(run / "align")["figures"]
     return gt, *truth_targets(gt, true_poses_of(gt, scene, profile, root), figures)

@@ -99,7 +99,8 @@ def cases_in(folder: Path) -> tuple[list[Case], list[str]]:
 
 
 def cases_of_runs(data: DataRoot) -> tuple[list[Case], list[str]]:
-    """Test walks of each run in the data folder with predictions, of regressors or localisers, and the runs' names."""
+    """Test walks of each run in the data folder that has predictions, of regressors and of structure localisers, and
+    the runs' names."""
     cases: list[Case] = []
     names = []
     for folder in sorted((data.root / "runs").glob("*/*")):
@@ -133,7 +134,8 @@ def _thinned(case: Case) -> Case:
 
 
 def _late(case: Case) -> Case:
-    """The same with predictions some frames late, as of a slow server: odometry carries each to when it comes."""
+    """The same with predictions that come so many frames after the image, as of a slow server: odometry carries each
+    to the frame at which it comes."""
     walks = []
     for walk in case.walks:
         then, now = np.arange(len(walk) - _LATE), np.arange(_LATE, len(walk))

@@ -65,7 +65,8 @@ class Figure:
 
 @dataclass(frozen=True)
 class Case:
-    """Queries of a scene, and what the Map must reach with them: figure -> (least, most), None for no bound."""
+    """Queries of a scene, and what the Map must reach with them: figure -> (least, most), None where there is no
+    bound."""
 
     name: str
     scene: str

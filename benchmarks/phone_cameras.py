@@ -167,7 +167,8 @@ def _against_truth(scene: str, profile: str, root: DataRoot) -> dict[str, Any]:
 
 
 def _cameras(scene: str, profile: str, root: DataRoot) -> dict[str, Any]:
-    """k1, k2, k3, readout, time offset and focal length by the largest model, with sigmas, and the true ones."""
+    """k1, k2, k3, readout time, offset of time stamps and focal length by the largest model, with their sigmas, and the
+    true ones."""
     run = root.run(profile, scene)
     images, frames = table_of(run, "sfm", "images"), table_of(run, "import", "frames")
     sessions = table_of(run, "import", "sessions").set_index("session_id")

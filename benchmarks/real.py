@@ -209,7 +209,8 @@ def _failed_checks(run: Run) -> list[str]:
 
 
 def _align_with(board: str, run: Run, *, use_for_scale: bool) -> pd.DataFrame:
-    """The rulers' table after align again with the case's board, in place: costs and checks are those without it."""
+    """The rulers' table after align once more with the case's board, in place: costs and checks of the case are those
+    without it."""
     scene = run.root.root / "scenes" / f"{run.scene}.toml"
     scene.parent.mkdir(exist_ok=True)
     scene.write_text(f"{board}use_for_scale = {str(use_for_scale).lower()}\n", encoding="utf-8")

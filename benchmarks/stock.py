@@ -102,7 +102,8 @@ def stock_poses(folder: Path, frames: int) -> tuple[Array, np.ndarray]:
 
 
 def _with_cameras(frames: pd.DataFrame, camera_model: CameraModel) -> tuple[pd.DataFrame, dict[str, pycolmap.Camera]]:
-    """The frames in sessions of one image size, and a camera for each: no distortion, the median logged intrinsics."""
+    """The frames in sessions of one image size each; and a camera for each of these, without distortion, at the median
+    of the logged intrinsics."""
     sizes = frames.groupby(["session_id", "width", "height"], sort=True)
     cameras = {}
     for number, (_, rows) in enumerate(sizes):

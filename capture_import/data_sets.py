@@ -93,7 +93,8 @@ def data_set_of(path: Path, images_of: Callable[[Path], Path | None]) -> Path | 
 
 def folder_with(data_set: Path, names: Sequence[str]) -> Path:
     """The folder that has most of the images of these names: `images/` where none has more, another one in the data
-    set, or itself. Of copies of other sizes (images_2) the first counts, else the one with fewest others."""
+    set, or itself. Of copies of other sizes (images_2) the first counts, of folders with other images beside these the
+    one with the fewest."""
     beside = parsing.in_order(
         p for p in data_set.iterdir() if p.is_dir() and p.name != "images" and not p.name.startswith(".")
     )
@@ -120,7 +121,8 @@ def lost_images(names: Sequence[str]) -> str:
 
 def named_image(folders: Sequence[Path], name: Any) -> Path:
     """The image that a data set names relative to the first of these folders, with or without its suffix; of a path on
-    another machine, or Windows, the end that is in one of them. BadRow for no text, or one that leads out."""
+    another machine, as Windows parts names, too, the end that is in one of them. BadRow for a name that is no text or
+    leads elsewhere."""
     parts = name.replace("\\", "/").split("/") if isinstance(name, str) else []
     ends = [end for n in range(len(parts)) if (end := "/".join(parts[n:])) and not leads_outside(end)]
     images = (_with_suffix(folder / end) for end in ends for folder in folders)
@@ -187,7 +189,8 @@ def is_metric_export(data_set: Path) -> bool:
 
 
 def export_world(data_set: Path) -> str:
-    """What an export of groundwalk says of its world; empty of other files of these kinds, which state no unit."""
+    """What an export of groundwalk says of its world; empty where it is none: other files of these kinds state no
+    unit."""
     return str(read_json(data_set / EXPORT_NOTE).get("map", ""))
 
 

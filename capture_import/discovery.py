@@ -34,7 +34,8 @@ _DEPTH = re.compile(r"(depth|conf)_\d{1,9}\.png|.*\.depth\.png")
 
 @dataclass(frozen=True)
 class RecordingSource:
-    """A recording: where it is, its format, the way to it by names a user sees, what the search says of it, its id."""
+    """A recording: where it is, in which format, the way to it by the names that a user sees, what the search for it
+    has to say, and its id."""
 
     path: Path
     format: Format

@@ -103,7 +103,8 @@ def read_fixes(
 
 def core_motion(path: Path, limits: Limits, unit_s: float = 1.0) -> Accelerations | None:
     """What can be read of a log whose rows begin with time, in units of `unit_s`, and an acceleration as Core Motion
-    has it: along the phone's axes; at rest it points down. None where there is no file; a lost row says nothing."""
+    has it: along the phone's axes; at rest it points down. None where there is no such file; a row more or less
+    says nothing."""
     if not path.is_file():
         return None
     rows = []
@@ -198,7 +199,8 @@ def numbered_lines(path: Path, limits: Limits) -> Iterator[tuple[int, str]]:
 
 
 def json_of(path: Path, limits: Limits) -> dict[str, Any]:
-    """A recording's JSON file as an object; UserError if it can't be read, or takes more memory than the limit."""
+    """A recording's JSON file as an object; UserError where it can't be read, or would take more memory parsed than
+    the limit."""
     with refused("a log can't be read", path):
         text = read_text(path, min(limits.max_text_bytes, limits.max_parsed_bytes // 4))
         if (needed := parsed_bytes(text)) > limits.max_parsed_bytes:

@@ -30,7 +30,8 @@ _READ_BESIDE = "it's read as poses.txt beside its images, or beside images/"
 
 
 def no_capture(root: Path, formats: Sequence[Format], chosen: Format | None, others: str) -> UserError:
-    """The error for a folder or file without a recording; `others` are recordings in formats that weren't chosen."""
+    """The error for a folder or file in which no recording was found; `others` are recordings in other formats than
+    the chosen one."""
     what = "no capture in a known format" if chosen is None else f"no capture in the format {chosen.id}"
     if not root.is_dir():
         return UserError(what, where=root, found="a file of an unknown kind", do=f"{groundwalk_command()} formats")

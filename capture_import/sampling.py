@@ -14,7 +14,8 @@ from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.geometry.poses import Array, relative, rotation_angle
 from groundwalk.store.hints import setting_of
 
-# Largest steps between SfM's neighbouring images: matches of real corridors and rooms at 1 Hz get few beyond.
+# Largest steps between neighbouring images of SfM: of real corridors and rooms at a frame a second, matches get few
+# beyond.
 _STEP_M, _STEP_DEG = 0.3, 15.0
 # Sampling that is this much denser and still gives too few frames won't by being denser.
 _MAX_DENSITY = 2.0**12
@@ -171,14 +172,16 @@ def sample_between(
 
 
 def motion_steps(a: Array, b: Array, step_m: float, step_deg: float) -> Array:
-    """How far (N,) poses b (N, 4, 4) are from a (N, 4, 4) or (4, 4), in step_m or step_deg, whichever are more."""
+    """How far (N,) poses b (N, 4, 4) are from a (N, 4, 4) or (4, 4), in steps of step_m or step_deg, whichever are
+    more."""
     a_T_b = relative(a, b)
     metres, angle_deg = np.linalg.norm(a_T_b[:, :3, 3], axis=1), np.degrees(rotation_angle(a_T_b[:, :3, :3]))
     return np.maximum(metres / step_m, angle_deg / step_deg)
 
 
 def _even_steps(distances: Array, max_cuts: int) -> NDArray[np.int64]:
-    """Into how many steps (N,) to cut distances for each to be 1 at most, by `max_cuts` cuts at most, largest first."""
+    """Into how many steps (N,) to cut each of these distances for all to be 1 at most, by no more than `max_cuts` cuts,
+    the largest first."""
     steps = np.ones(len(distances), dtype=np.int64)
     largest = [(-float(distance), i) for i, distance in enumerate(distances) if distance > 1]
     heapq.heapify(largest)

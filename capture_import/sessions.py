@@ -95,7 +95,8 @@ def _jumps_of(recording: Recording, frames: list[RawFrame]) -> list[Jump]:
 
 
 def _by_camera(recording: Recording, frames: list[RawFrame], rejects: list[Reject]) -> list[Session]:
-    """A session a camera, in order of first images, or a part of a video between cuts; rejects are of the first one."""
+    """A session a camera, in order of their first images, or a part of a video between cuts; rejects are of the first
+    one."""
     of_session: dict[tuple[str, int], list[RawFrame]] = {}
     starts_s, part = list[float](), 0
     for frame in frames:
@@ -120,7 +121,8 @@ def _by_camera(recording: Recording, frames: list[RawFrame], rejects: list[Rejec
 
 def with_numbered_cameras(of_recording: Sequence[list[Session]]) -> list[list[Session]]:
     """A capture's sessions, recording by recording, with cameras that no log names told apart by numbers: those of one
-    maker, model, lens, focal length and size are one, and each recording has its own where nothing states these."""
+    maker, model, lens, focal length and size are one, and each recording has its own where nothing states these. What a
+    camera is called in the file doesn't leave import."""
     numbers: dict[str, int] = {}
 
     def numbered(session: Session) -> Session:

@@ -14,7 +14,8 @@ from groundwalk.store.settings import SplitRules
 from groundwalk.store.tables import have_times
 from groundwalk.store.text import natural_order
 
-# Frames of one walk this close in time show the same place from the same side: a test beside training tests memory.
+# Frames of one walk this close in time show the same place from the same side: testing on one after training on the
+# other measures memory.
 LEAK_S = 5.0
 
 
@@ -102,7 +103,8 @@ def _no_session(name: str, names: Iterable[str]) -> UserError:
 
 
 def nearest_split(frames: pd.DataFrame, split_frames: pd.DataFrame) -> NDArray[np.object_]:
-    """For each of `frames` the split of that of `split_frames` (with a column split) nearest in time in its session."""
+    """For each of `frames` the split of that of `split_frames` (with a column split) which is nearest in time in its
+    session, which has one."""
     split = np.empty(len(frames), dtype=object)
     t_ns, split_t_ns = frames["t_ns"].to_numpy(), split_frames["t_ns"].to_numpy()
     splits, near = split_frames["split"].to_numpy(dtype=object), split_frames.groupby("session_id").indices

@@ -120,7 +120,8 @@ def sessions_table(
 
 
 def rejects_table(sessions: Sequence[Session], left_out: Mapping[str, UserError]) -> pd.DataFrame:
-    """Rows of `rejects`, with one for each recording left out as a whole; what isn't printable in names is escaped."""
+    """Rows of `rejects`, with one for each recording that is left out as a whole; what isn't printable in names is
+    escaped."""
     rejects = [(session.session_id, reject) for session in sessions for reject in session.rejects]
     rejects += [(name, Reject(name, None, error.line, Rejected.RECORDING)) for name, error in left_out.items()]
     return pd.DataFrame(

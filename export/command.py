@@ -193,7 +193,8 @@ def _export_folder(out: Path, note: str, *, force: bool) -> Iterator[Path]:
 
 
 def _write_lists(dataset: Dataset, placed: list[str], folder: Path, about: dict[str, str], images: Images) -> int:
-    """Write what the export is, and the list of all frames, exported ones with image and camera; how many these are."""
+    """Write what the export is, and the list of all frames: exported ones with their images and these' cameras; returns
+    how many are exported."""
     columns = ["frame_id", "session_id", "split", "t_ns", "clock", "quality", "reason"]
     frames = dataset.frames
     exported = frames[columns].assign(image=placed, **{n: frames[n] for n in ("width", "height", *CAMERA_COLUMNS[:4])})

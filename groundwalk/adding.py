@@ -154,7 +154,8 @@ def _folder_for(captures: Path, data: DataRoot, profile: str, scene: str) -> str
 
 
 def _copy_captures(target: Path, captures: Path, into: str, new: Path | None, place: Path) -> None:
-    """What is captured (in the folder `into`, where named) with what is `new`, or without what lies at `place`."""
+    """What is captured (in the folder `into`, where that is named) with what is `new`, or without what lies at
+    `place`."""
 
     def ignored(folder: str, names: list[str]) -> list[str]:
         return [name for name in names if name.startswith(".") or (not new and Path(folder, name) == captures / place)]

@@ -25,8 +25,9 @@ def is_address(text: str) -> bool:
 
 
 def download(address: str, folder: Path) -> None:
-    """Make a folder hold the files below an address: what has another size or time there is loaded, what is gone there
-    removed here. UserError where it can't be read or is empty, and for a link, whose files are somebody's own."""
+    """Make a folder hold the files below an address: what has another size or time there is loaded, and what is gone
+    there is removed here. UserError where it can't be read, or there are no files, and for a link, whose files are
+    somebody's own."""
     if folder.is_symlink():
         raise UserError("the folder for a bucket's captures is a link", where=folder, expected="a folder, or nothing")
     bucket, base = _opened(address)

@@ -289,7 +289,8 @@ def _shell(command: str, data: DataRoot) -> str:
 
 
 def _resources(profile: str, command: str, data: DataRoot, cores: int) -> dict[str, int]:
-    """Cores, of these at most, MiB and minutes of a command, by the data folder's finished runs with this profile."""
+    """Cores, of these at most, MiB and minutes of a command: by the finished runs of the data folder with this
+    profile."""
     made = finished_stages(data, command, profile)
     mib = max((one.mib for one in made), default=0) * _MARGIN
     minutes = max((one.seconds for one in made), default=0) * _MARGIN / 60

@@ -67,7 +67,8 @@ def _ground_truth(truth: pd.DataFrame) -> Iterator[tuple[str, str]]:
 
 
 def _errors(table: pd.DataFrame, splits: str) -> Iterator[tuple[str, str]]:
-    """One line a method, model and scene: medians over all frames of the evaluated splits, infinite without a pose."""
+    """One line a method, model and scene: medians over all frames of the evaluated splits, where a frame without a pose
+    is infinitely wrong."""
     several = len(table["scene"].unique()) > 1
     rows: Any = table[(table["subset"] == "all") & (table["scored"] == "method")].itertuples(index=False)
     for row in rows:

@@ -116,7 +116,8 @@ def _averages(rows: list[dict[str, object]]) -> list[dict[str, object]]:
     averages = []
     for (environment, _, _), scenes in errors.groupby(keys, sort=False):
         if len(scenes) > 1:
-            # A scene without a figure leaves none for the average, of other scenes then; nor is there one over units.
+            # A scene without a figure leaves none for the average either: it would be one over other scenes. Nor is
+            # there one over units.
             of_all = scenes["scene"].nunique() == all_scenes[environment]
             of_one_unit = scenes["unit"].isin(ERRORS.values()).all()
             value = float(scenes["value"].mean(skipna=False)) if of_all and of_one_unit else math.nan
@@ -170,7 +171,8 @@ def published_cells(tables: PrintedTables, scenes: list[SceneInputs]) -> pd.Data
 
 @dataclass(frozen=True)
 class LocaliserErrors:
-    """What a localiser reaches over the `frames` of Table IV, alone or with the method ahead, as printed there."""
+    """What a localiser reaches over the `frames` of Table IV, alone or with the method that is ahead, as it is printed
+    there."""
 
     model: str
     name: str

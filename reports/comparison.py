@@ -145,7 +145,8 @@ def lost_scale(first: ComparedRun, other: ComparedRun) -> bool:
 
 
 def _subjects(first: ComparedRun, other: ComparedRun) -> Iterator[_Subject]:
-    """The first run's ground truth, and each model alone and with the method ahead, on frames held out of training."""
+    """The first run's: ground truth, and each model alone and with the method that is ahead on frames held out of
+    training."""
     truths = (run.ground_truth for run in (first, other))
     sigmas = (t.assign(scene="", position=t["position_sd_m"], rotation=t["rotation_sd_deg"]) for t in truths)
     yield _Subject(_TRUTH, _TRUTH, *sigmas)
@@ -251,7 +252,8 @@ def missing_grid(lacking: list[Missing]) -> Grid | None:
 
 
 def picture(found: list[Difference], folder: Path) -> str:
-    """Changes in percent with intervals, as SVG, of several runs only those above noise, which are dark; or empty."""
+    """The changes in percent with their intervals, as SVG, of several runs only those larger than noise, which are
+    dark; empty where there are none."""
     several = len({d.run for d in found}) > 1
     shown = [d for d in found if np.isfinite([d.percent, d.low, d.high]).all() and (d.is_clear or not several)]
     if not shown:

@@ -27,7 +27,8 @@ class Picture:
 
 
 def scene_figures(scene: SceneInputs, folder: Path) -> dict[str, list[Picture]]:
-    """Figures of a scene's finished stages, by the section of the page they belong to; written into a folder."""
+    """All figures of a scene, by the section of the page that they belong to, as far as its stages are finished;
+    written into a folder."""
     pictures: dict[str, list[Picture]] = {"drift": [], "training": [], "errors": []}
     with style.applied():
         for part, has_data, draw in (

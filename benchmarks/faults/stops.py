@@ -138,7 +138,8 @@ def _stop(process: subprocess.Popen[str], which: signal.Signals, of_group: bool)
 
 
 def pairs(base: Sandbox, folder: Path, first: str) -> Iterator[Outcome]:
-    """While a stage is made anew, every stage and `clean` on the same scene: none disturbs what it reads or makes."""
+    """While a stage is made anew, every stage and `clean` on the same scene: none may disturb what it reads or
+    makes."""
     sandbox = base.copy_to(folder)
     try:
         for second in (*STAGES, "clean"):

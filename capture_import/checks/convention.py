@@ -151,8 +151,9 @@ def parallax_pairs(frames: Sequence[RawFrame]) -> list[tuple[int, int]]:
 
 
 def unitless_parallax_pairs(frames: Sequence[RawFrame]) -> list[tuple[int, int]]:
-    """Pairs as those of `parallax_pairs` where poses have no unit or no times: each frame and one of the nearest, about
-    as far as nearest ones with little rotation are. The same at any scale and origin, in any order of frames."""
+    """Pairs as those of `parallax_pairs` where poses have no unit or no times: each frame and one of the
+    nearest, about as far as nearest ones with little rotation are. The same at any scale and origin, as good in any
+    order of the frames."""
     poses = poses_of(frames)
     used = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _MAX_POSES)).astype(int))
     pairs: dict[tuple[int, int], None] = {}

@@ -13,7 +13,8 @@ from groundwalk.store.hints import setting_of
 
 # The median speed of a runner; walks with a phone are below 2 m/s.
 MAX_WALK_M_S = 3.0
-# Faster than any train: a wrong unit for sure. Walks in centimetres or with times in another unit mostly are.
+# Faster than any train: a wrong unit for sure. A walk in centimetres or with times in another unit mostly is, and one
+# in metres never.
 MAX_SPEED_M_S = 100.0
 # Apps log poses at 1 to 60 Hz, inertial odometry at 1000 Hz at most. A unit of time is wrong by a factor of 1000 or
 # more, which takes 60 Hz to 0.06 Hz, and 2 Hz to 2000 Hz.
@@ -22,7 +23,8 @@ MIN_RATE_HZ, MAX_RATE_HZ = 0.1, 1000.0
 _MIN_EXTENT_M = 0.002
 # Without a unit, poses in one place differ by this fraction of their coordinates at most.
 _ROUNDING = 1e-12
-# Sharpness after Crete: of phones' images 0.6 to 0.85; out of focus by 0.5 % of their width or more, 0.14 to 0.33.
+# Sharpness after Crete: of phones' images 0.6 to 0.85; out of focus by half a hundredth of their width or more, 0.14 to
+# 0.33.
 _MIN_SHARPNESS = 0.35
 # And faster, most of the time or at least now and then.
 _MIN_SPEED_M_S = 0.01

@@ -83,7 +83,8 @@ def _focal_lengths(file: Path, folder: str, limits: Limits) -> dict[str, float]:
 
 
 def _intrinsics(file: Path, folder: str, limits: Limits) -> dict[str, Intrinsics]:
-    """Whole intrinsics by the image's path, of one folder, where our export has written them; none of another file."""
+    """Whole intrinsics by the image's path, of one folder, where our export has written them; none where it's another
+    file."""
     if not file.is_file():
         return {}
     lines = parsing.lines_of(file, limits, lambda line: line.startswith("frame_id,") or f"{folder}/" in line)

@@ -109,7 +109,8 @@ class FaceDetector:
 
 @dataclass(frozen=True)
 class Blurring:
-    """What is blurred: in an image that `boxes` lists, by frame_id, these; in others what `detect`, if given, finds."""
+    """What is to be blurred: in an image that `boxes` lists, by its frame_id, these; in others what `detect` finds,
+    where it's given."""
 
     detect: Detector | None = None
     boxes: Mapping[str, list[Region]] = field(default_factory=dict)

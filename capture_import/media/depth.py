@@ -138,7 +138,8 @@ def _of_lzfse(data: bytes, dtype: np.dtype[Any], size: tuple[int, int]) -> NDArr
 
 
 def _of_exr(data: bytes) -> NDArray[Any]:
-    """Pixels (H, W), float32, of an OpenEXR image's only channel, or its red one; BadImage if it can't be decoded."""
+    """Pixels (H, W), float32, of an OpenEXR image's only channel, or of its red one; BadImage where it can't be
+    decoded."""
     if not data.startswith(_EXR_START):
         raise BadImage("is no OpenEXR file")
     pixels = decoded(data, cv2.IMREAD_UNCHANGED)

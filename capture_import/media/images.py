@@ -47,7 +47,8 @@ def measured(gray: Gray, width: int, height: int, sha256: str = "", content_sha2
 
 
 def image_size(data: bytes, max_megapixels: float = math.inf) -> tuple[int, int]:
-    """(width, height) from the header of a JPEG or PNG, or a whole HEIC; BadImage if none, or above the limit."""
+    """(width, height) from the header of a JPEG or PNG, or of a whole HEIC; BadImage where there is none, or it's
+    larger than the limit."""
     if not data:
         raise BadImage("is empty")
     if data.startswith(JPEG_SIGNATURE):
@@ -94,7 +95,8 @@ def _decode(data: bytes, colours: str, long_side: int) -> Any:
     width, height = image_size(data)
     is_gray = colours == "GRAY"
     if data.startswith(JPEG_SIGNATURE):
-        # To scale while decoding is faster; every byte is read, and strict mode reports what others paint grey.
+        # The decoder scales while it decodes, which is faster; it still reads every byte, and strict mode reports what
+        # an ordinary decoder paints grey.
         scale = min(1.0, long_side / max(width, height))
         least = {"min_height": int(height * scale), "min_width": int(width * scale)}
         try:
@@ -167,7 +169,8 @@ def shrunk(image: Any, long_side: int) -> Any:
 
 
 def quarters_to_upright(session: Session) -> int:
-    """Quarter turns clockwise (0 to 3) that put gravity down in most of a session's images; 0 where up is unknown."""
+    """How many quarter turns clockwise (0 to 3) put gravity down in most of a session's images. One answer a session;
+    0 where up is unknown."""
     if not session.recording.is_gravity_aligned or not session.images:
         return 0
     x, y, _ = gravity_in_camera(poses_of(session.images)).sum(axis=0)

@@ -29,7 +29,8 @@ class PhoneInputs:
 
     @cached_property
     def preprocessing(self) -> Preprocessing:
-        """What is between image and network; the image's size is of most training frames, the lens their median one."""
+        """What is between an image and the network's input; the image's size is that of most training frames, the lens
+        their median one."""
         frames = self.regressor.frames.iloc[self.regressor.rows("train")]
         sizes = frames.value_counts(["width", "height"])
         width, height = sizes.index[0]

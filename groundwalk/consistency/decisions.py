@@ -20,7 +20,8 @@ SIGMAS = 2.0
 
 def decide(value: float, sd: float, limit: float, *, at_least: bool = False) -> Status:
     """Passed where `value` is within `limit` (at most, or `at_least`) by two `sd` or more, failed where it is beyond by
-    more than two, else undecided, as is no value (NaN): a larger `sd` makes neither passing nor failing easier."""
+    more than two, else undecided: a larger `sd` makes neither passing nor failing easier. No value (NaN) is
+    undecided."""
     sign = -1.0 if at_least else 1.0
     if beyond(sign * value, sd, sign * limit):
         return Status.FAILED
@@ -38,6 +39,7 @@ def beyond(value: ArrayLike, sd: ArrayLike, limit: ArrayLike) -> NDArray[np.bool
 
 
 def fraction_sd(fraction: float, count: float) -> float:
-    """Standard error of a fraction of `count` independent cases: of the beta posterior under a flat prior, never 0."""
+    """Standard error of a fraction of `count` independent cases: of the beta posterior under a flat prior, which isn't
+    zero where all cases agree."""
     mean = (fraction * count + 1) / (count + 2)
     return float(np.sqrt(mean * (1 - mean) / (count + 3)))

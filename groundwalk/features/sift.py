@@ -88,7 +88,8 @@ def _features(keypoints: Sequence[cv2.KeyPoint], scale: NDArray[np.float64], row
 
 
 def shrunk(grey: NDArray[np.uint8], max_side: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """A grey image (H, W) of at most `max_side` pixels a side, and its pixels' size in the image's, (2,), x and y."""
+    """A grey image (H, W) with at most `max_side` pixels a side, and how many pixels of the image one of it is, (2,), x
+    and y."""
     factor = min(1.0, max_side / max(grey.shape))
     small = grey
     if factor < 1:

@@ -53,7 +53,8 @@ def fit_control(
 
 
 def _fit(survey: Array, sd_m: Array, xyz: Array, covariance: Array, used: Mask, *, rigid: bool) -> tuple[Sim3, Array]:
-    """The least squares weighted by the points' variances, and its covariance (7, 7), widened by residuals' scatter."""
+    """The least squares weighted by the points' variances, and its covariance (7, 7), which the residuals' scatter
+    widens."""
     unit = 1.0 if rigid else fit_similarity(survey[used], xyz[used], np.ones(used.sum()), rigid=False).scale
     variance = sd_m[used] ** 2 + unit**2 * np.trace(covariance[used], axis1=1, axis2=2) / 3
     weights = 1 / variance

@@ -113,7 +113,8 @@ def fit_earth(
 
 
 def _upright_fit(enu: Array, xyz: Array, weights: Array, *, rigid: bool) -> Sim3:
-    """Heading, scale and horizontal translation of the least squares, a complex number each; up is the map's."""
+    """The heading, scale and horizontal translation with the least squares, as a complex number each; up is that of the
+    map."""
     w = weights / weights.sum()
     at, of_map = enu[:, 0] + 1j * enu[:, 1], xyz[:, 0] - 1j * xyz[:, 2]
     mean, mean_of_map = w @ at, w @ of_map

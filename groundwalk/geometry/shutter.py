@@ -14,7 +14,8 @@ from groundwalk.geometry.poses import Array, make_pose
 
 # Phones' sensors take up to 35 ms; what is stated beyond this is no readout time.
 MAX_READOUT_S = 0.1
-# By the image's side that is read out first: factors of x / width and y / height, and constant, of the readout's share.
+# By the side of the image that is read out first: factors of x / width and y / height, and the constant, of the share
+# of the readout.
 _SHARE = {"top": (0, 1, -0.5), "right": (-1, 0, 0.5), "bottom": (0, -1, 0.5), "left": (1, 0, -0.5)}
 
 

@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from groundwalk.geometry.fits import rotation_to_up
 from groundwalk.geometry.poses import Array
 
-# A line counts less the further its normal is from a right angle to an axis, none from here on; at first more do.
+# A line counts less the further its normal is from a right angle to an axis, and nothing from here on; an axis is
+# fitted to more of them at first.
 _WIDTH = np.radians(1.5)
 _FITTED_WIDTHS = 2 * _WIDTH, 1.5 * _WIDTH, _WIDTH
 # Directions at which lines are counted, two degrees apart; the best of them, not too near to each other, are tried as

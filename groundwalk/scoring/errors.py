@@ -69,7 +69,8 @@ def pose_error(estimated: ArrayLike, true: ArrayLike) -> Array:
 
 
 def normalised_squares(errors: Array, covariances: Array) -> tuple[Array, Array]:
-    """Squared Mahalanobis lengths of rotation (N,) and position (N,) of errors (N, 6) with covariances (N, 6, 6)."""
+    """Squared Mahalanobis lengths of the rotation (N,) and the position (N,) of errors (N, 6), covariances
+    (N, 6, 6)."""
     parts = []
     for part in (slice(0, 3), slice(3, 6)):
         e, c = errors[:, part], covariances[:, part, part]

@@ -60,8 +60,9 @@ def verify_images(captures: Path, imported: Path) -> None:
 
 
 def read_image(path: Path, *, reduced: int = 1) -> Image:
-    """An image file as RGB (H, W, 3), as the sensor has it (no turn of the file's EXIF, since poses and intrinsics are
-    the sensor's); `reduced` so many times (1, 2, 4 or 8) smaller. UserError where it can't be read or decoded."""
+    """An image file as RGB (H, W, 3), as the sensor has it (a turn in the file's EXIF is left out, since poses and
+    intrinsics are the sensor's); `reduced` so many times (1, 2, 4 or 8) smaller. UserError where it isn't there or
+    can't be decoded."""
     # OpenCV prints a warning of its own for a file that isn't there.
     is_there = path.exists()
     image = cv2.imread(str(path), _REDUCED[reduced] | cv2.IMREAD_IGNORE_ORIENTATION) if is_there else None
@@ -98,7 +99,8 @@ def small_jpeg(path: Path, long_side: int, gravity_x: float, gravity_y: float) -
 
 
 def exif_orientation(path: Path) -> int:
-    """How EXIF says that an image's pixels are turned, 1 to 8 (TIFF 6.0, Orientation); 1, as they are, without it."""
+    """How EXIF says that an image's pixels are turned, 1 to 8 (TIFF 6.0, Orientation); 1, as they are, where it
+    doesn't."""
     import PIL.ExifTags
     import PIL.Image
 

@@ -176,7 +176,8 @@ def held(data: DataRoot, profile: str, scenes: Iterable[str], stages: Iterable[s
 
 
 def hashes_of_named(files: Iterable[str], scene: str, data: DataRoot) -> dict[str, str]:
-    """sha256 of the files that a scene's settings name, relative to the data folder; UserError of an unreadable one."""
+    """sha256 of the files that a scene's settings name, relative to the data folder; UserError where one can't be
+    read."""
     hashes = {}
     for name in files:
         try:

@@ -91,7 +91,8 @@ def is_whole(folder: Path, key: str) -> bool:
 
 
 class Replaced(NamedTuple):
-    """An artefact made from another one than is there now: which one it is, and from which, as scene and stage."""
+    """An artefact that was made from another one than is there now: which one it is, and from which, as scene and
+    stage."""
 
     artefact: tuple[str, str]
     source: tuple[str, str]

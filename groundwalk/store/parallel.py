@@ -20,7 +20,8 @@ _AHEAD = 4
 
 
 def in_parallel(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """`function` of each item, in order, on as many threads as there are usable cores; a few items run ahead."""
+    """`function` of each item, in order, on as many threads as there are cores that this process may use; a few items
+    are worked on ahead."""
     workers = usable_cores()
     pending: deque[Future[R]] = deque()
     with single_threaded_opencv(), ThreadPoolExecutor(workers) as pool:

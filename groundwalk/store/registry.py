@@ -213,7 +213,8 @@ class Registry(Mapping[str, E], Generic[E]):
         return section
 
     def versions(self, entry_ids: Iterable[str] | None = None) -> dict[str, str]:
-        """Package and version of entries (None: of all) of other packages, on which what they compute depends."""
+        """Package and version of the entries (None: of all) that other packages bring: what they compute depends on
+        these, too."""
         sources = self._others.sources
         ids = sources if entry_ids is None else [i for i in entry_ids if i in sources]
         return {i: f"{sources[i].package} {sources[i].version}" for i in ids}

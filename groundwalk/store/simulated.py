@@ -31,7 +31,8 @@ def marker_of(captures: Path) -> dict[str, Any]:
 
 
 def simulated_files(captures: Path) -> set[str]:
-    """The files of a simulated capture folder, relative to it, of its marker; none where that names no sessions."""
+    """The files of a simulated capture folder, relative to it, that its marker stands for; none where the marker
+    doesn't say which sessions there are."""
     try:
         counts = {
             name: (int(count["poses"]), max(count["poses"] // count["images"], 1))

@@ -205,7 +205,8 @@ def pose_frame(prefix: str, poses: Array) -> pd.DataFrame:
 
 
 def covariance_numbers(cell: object) -> Array | None:
-    """The numbers (36,) of a cell of a column of covariances, a list of them or of the matrix's rows; else None."""
+    """The numbers (36,) of a cell of a column of covariances, a list of them or of the matrix's six rows; None where it
+    holds anything else."""
     if not isinstance(cell, list | np.ndarray):
         return None
     try:

@@ -11,7 +11,8 @@ from groundwalk.store.tables import poses_of, read_table, table_of
 
 
 def true_poses_of(frames: pd.DataFrame, scene: str, profile: str, root: DataRoot) -> Array:
-    """map_T_cam (N, 4, 4) of a simulated scene's frames (columns session_id, t_ns), by the simulator, or NaN."""
+    """map_T_cam (N, 4, 4) of a simulated scene's frames (columns session_id, t_ns), by the simulator; NaN where it has
+    none."""
     path = root.captures(scene) / TRUE_POSES
     if not path.is_file():
         raise UserError(

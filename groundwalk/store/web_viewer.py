@@ -38,7 +38,8 @@ _STARTED_WITHIN_S = 30.0
 
 
 def view_run(folder: Path, *, web: bool) -> int:
-    """Show a run's recordings (UserError where it has none) until the viewer is closed; the viewer's exit status."""
+    """Show the recordings of a run's finished stages until the viewer is closed; its exit status. UserError where there
+    is none."""
     files = [path for stage in STAGES if (path := folder / stage / RECORDING).is_file()]
     if not files:
         raise UserError("there is no recording to view", where=folder, do=run_command(folder / STAGES[-1]))
