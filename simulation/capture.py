@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM
 from groundwalk.simulation.place import Vec
@@ -34,37 +35,27 @@ class SessionFrames:
 def write_frames(folder: Path, session: SessionFrames) -> None:
     """info.json and every frame's JSON; pictures are written apart."""
     folder.mkdir(parents=True, exist_ok=True)
-    arkit = session.vio_T_cam @ ARKIT_CAM_T_CAM
+    arkit, w, h = session.vio_T_cam @ ARKIT_CAM_T_CAM, session.width, session.height
+    content: dict[str, Any] = {"info": {"title": session.name, "appVersionString": "1.9.7"}}
     for i, (fx, fy, cx, cy) in enumerate(session.intrinsics_N4):
-        frame = {
+        # ARKit's, with the far plane at infinity.
+        projection = [
+            [2 * fx / w, 0, 1 - 2 * cx / w, 0],
+            [0, 2 * fy / h, 2 * cy / h - 1, 0],
+            [0, 0, -1, -0.001],
+            [0, 0, -1, 0],
+        ]
+        content[FRAME.format(i)] = {
             "cameraPoseARFrame": _float32(arkit[i]),
-            "projectionMatrix": _float32(_projection(session.intrinsics_N4[i], session.width, session.height)),
-            "intrinsics": _float32(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])),
+            "projectionMatrix": _float32(projection),
+            "intrinsics": _float32([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
             "exposureDuration": float(np.float32(session.exposure_s[i])),
             "time": float(session.time_s[i]),
         }
-        _write_json(folder / f"{FRAME.format(i)}.json", frame)
-    _write_json(folder / "info.json", {"title": session.name, "appVersionString": "1.9.7"})
+    for name, values in content.items():
+        (folder / f"{name}.json").write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
 
 
-def _projection(intrinsics: Vec, width: int, height: int) -> Vec:
-    """ARKit's projection matrix with the far plane at infinity, for the same intrinsics."""
-    fx, fy, cx, cy = intrinsics
-    near = 0.001
-    return np.array(
-        [
-            [2 * fx / width, 0, 1 - 2 * cx / width, 0],
-            [0, 2 * fy / height, 2 * cy / height - 1, 0],
-            [0, 0, -1, -near],
-            [0, 0, -1, 0],
-        ]
-    )
-
-
-def _float32(matrix: Vec) -> list[float]:
+def _float32(matrix: ArrayLike) -> list[float]:
     """Row-major values as the app has them, in single precision."""
-    return [float(v) for v in np.float32(matrix).ravel()]
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    return np.asarray(matrix, np.float32).ravel().tolist()

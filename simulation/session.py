@@ -123,11 +123,11 @@ def plan_session(
     exposures = camera.auto_exposure(brightness, 1 / settings.rate_hz, indoor, light_seed)
 
     t_ns = np.array([round(v * 1e9) for v in time_s], np.int64)
-    vio = simulate_vio(t_ns, walk.world_T_cam(t), int(seeds.generate_state(2)[1]))
+    vio_T_cam, _ = simulate_vio(t_ns, walk.world_T_cam(t), int(seeds.generate_state(2)[1]))
     frames = SessionFrames(
         name=plan.name,
         time_s=time_s,
-        vio_T_cam=vio.vio_T_cam,
+        vio_T_cam=vio_T_cam,
         intrinsics_N4=logged,
         exposure_s=np.array([e.duration_s for e in exposures]),
         width=settings.width,

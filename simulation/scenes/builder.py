@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from groundwalk.simulation.canvas import Bgr, Canvas, Material, material
 from groundwalk.simulation.materials import foliage, plain, wood
-from groundwalk.simulation.place import UP, Crown, Light, Obstacle, Place, Quad, Vec, Xz
+from groundwalk.simulation.place import UP, Crown, Light, Place, Quad, Vec, Xz
 
 
 class Builder:
@@ -104,7 +104,7 @@ class Builder:
 
     def block(self, low: Sequence[float] | Vec, high: Sequence[float] | Vec) -> None:
         """Something in the way, without a look of its own."""
-        self.place.obstacles.append(Obstacle(np.array(low, float), np.array(high, float)))
+        self.place.obstacles.append((np.array(low, float), np.array(high, float)))
 
     def column(
         self, name: str, centre: Xz, radius: float, height: float, paint: Material, bottom: float = 0.0, sides: int = 10
