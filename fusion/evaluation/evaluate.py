@@ -1,10 +1,12 @@
 """The batch evaluation of every method on every scene and model, for the stage and for tables from anywhere."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from groundwalk.fusion.definition import FuseSettings
@@ -19,11 +21,9 @@ from groundwalk.fusion.evaluation.fuse import (
     stacked,
 )
 from groundwalk.fusion.evaluation.sessions import session_figures
-from groundwalk.fusion.evaluation.summary import intervals, summarise
+from groundwalk.fusion.evaluation.summary import figures, intervals, summarise
 from groundwalk.fusion.evaluation.sweep import around, sweep
-from groundwalk.fusion.evaluation.validation import validation_rows
-from groundwalk.fusion.files.odometry_conventions import refuse_other_conventions, refuse_unrelated
-from groundwalk.fusion.files.quaternion_order import refuse_scalar_first
+from groundwalk.fusion.files.conventions import refuse_other_conventions, refuse_scalar_first, refuse_unrelated
 from groundwalk.fusion.files.walks import Evaluated, Inputs, check, evaluated, true_poses
 from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.methods.localiser import MethodOptions
@@ -33,6 +33,9 @@ from groundwalk.store.choices import MapUnit, Split
 from groundwalk.store.progress import track
 from groundwalk.store.registry import PluginError
 from groundwalk.store.tables import gap_warning, map_unit, scale_warning
+
+# By which it is told which method is ahead.
+ERRORS = ["position_mean_m", "rotation_mean_deg"]
 
 
 @dataclass(frozen=True)
@@ -154,6 +157,41 @@ def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator
                 walks = evaluated(scene.scene, held, scene.truth, predictions, [Split.VAL]).walks
                 if fusible := [walk for walk in with_odometry(walks) if known(walk.map_T_cam).any()]:
                     yield str(model), fusible
+
+
+def validation_rows(
+    held_out: Iterable[tuple[str, list[Walk]]], options: Mapping[str, MethodOptions], left_out: dict[str, PluginError]
+) -> pd.DataFrame:
+    """Table fuse.validation: the causal methods on each model's walks of held-out frames, a scene each. Those of other
+    packages that fail join what is left out."""
+    rows: list[dict[str, Any]] = []
+    for model, walks in held_out:
+        for name, chosen in options.items():
+            if not method(name).causal or name in left_out:
+                continue
+            try:
+                with METHODS.guard(name):
+                    fused = fuse_all(Run(name, "", model), walks, partial(method(name).make, chosen))
+            except PluginError as fault:
+                left_out[name] = fault
+                continue
+            errors = stacked(error_rows(f) for f in fused)
+            of_all = figures(errors, "live_", len(errors))
+            row = {"method": name, "model": model, "scene": walks[0].scene}
+            rows.append(row | {figure: of_all[figure] for figure in ("frames", "coverage_pct", *ERRORS)})
+    rows = [row for row in rows if row["method"] not in left_out]
+    if not rows:
+        return pd.DataFrame()
+    table = pd.DataFrame(rows)
+    best = {key: ahead_of(of_case) for key, of_case in table.groupby(["scene", "model"])}
+    return table.assign(ahead=[best[row["scene"], row["model"]] == row["method"] for row in rows])
+
+
+def ahead_of(rows: pd.DataFrame) -> str:
+    """The method whose mean errors are least: their geometric mean, over the share of frames answered, as a missing
+    pose is a failure. rows: methods that have `method`, the mean errors and `coverage_pct`."""
+    size = np.sqrt(rows[ERRORS].astype(float).prod(axis=1, skipna=False)) / (rows["coverage_pct"] / 100)
+    return str(rows.loc[size.sort_values(kind="stable").index[0], "method"])
 
 
 def joined_walks(inputs: Inputs, splits: Sequence[str]) -> Iterator[tuple[str, Evaluated]]:

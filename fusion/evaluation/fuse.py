@@ -150,12 +150,10 @@ def pose_errors(estimated: Array, true: Array) -> tuple[Array, Array]:
 
 
 def _keys(fused: Fused) -> pd.DataFrame:
-    run, walk = fused.run, fused.walk
+    walk = fused.walk
     return pd.DataFrame(
         {
-            "method": run.method,
-            "options": run.options,
-            "model": run.model,
+            **vars(fused.run),
             "scene": walk.scene,
             "frame_id": walk.frame_id,
             "session_id": walk.session_id,

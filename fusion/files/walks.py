@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.fusion.files.odometry_conventions import shares_vertical
+from groundwalk.fusion.files.conventions import shares_vertical
 from groundwalk.fusion.methods.localiser import is_covariance
 from groundwalk.fusion.walk import Walk, known, with_odometry
 from groundwalk.geometry.poses import Array
