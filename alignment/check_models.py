@@ -16,8 +16,13 @@ from groundwalk.alignment.checks.results import (
     undecided_reasons,
     with_status,
 )
-from groundwalk.alignment.checks.sessions import check_focal_length, check_sessions
-from groundwalk.alignment.checks.windows import check_window, component_windows, max_residuals
+from groundwalk.alignment.checks.sessions import (
+    check_focal_length,
+    check_sessions,
+    check_window,
+    component_windows,
+    max_residuals,
+)
 from groundwalk.alignment.components import NOT_GIVEN, Component, GivenFrame, PlacedComponent
 from groundwalk.alignment.map_frame import common_scale, common_vertical
 from groundwalk.alignment.reference.placement import check_session_references, fit_component, limits_of

@@ -13,12 +13,12 @@ import pandas as pd
 
 from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
+from groundwalk.localisation.definition import LocaliseSettings
 from groundwalk.localisation.inputs import read_inputs, training_of, with_found_focal
 from groundwalk.localisation.localisers import LOCALISERS, FeatureKind, Localiser
 from groundwalk.localisation.prepared import MIN_POINTS, Prepared, prepare
 from groundwalk.localisation.record import blueprint, record
 from groundwalk.localisation.results import QueryResult
-from groundwalk.localisation.settings import LocaliseSettings
 from groundwalk.scoring.errors import position_error, rotation_error_deg, sure_enough
 from groundwalk.scoring.scores import score
 from groundwalk.store import StageRun, UserError

@@ -10,12 +10,11 @@ import cv2
 import pandas as pd
 
 from groundwalk.simulation.atlas import TexturedMesh, is_saved
-from groundwalk.simulation.capture import write_frames
 from groundwalk.simulation.existing import is_made, key_of
 from groundwalk.simulation.mesh import build_mesh
 from groundwalk.simulation.render import Renderer
 from groundwalk.simulation.scenes import NAMES, scenery
-from groundwalk.simulation.session import Shot, SimulatedSession, outline, plan_session, take
+from groundwalk.simulation.session import Shot, SimulatedSession, outline, plan_session, take, write_frames
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.files import partial_folder, swap_in, write_json

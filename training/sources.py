@@ -12,9 +12,9 @@ from groundwalk.store.child import Report
 from groundwalk.store.files import written_aside
 from groundwalk.training import processes
 from groundwalk.training.data import Frames, View, jittered, normalised, pose_batch
-from groundwalk.training.evaluation import errors, pose_errors
 from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
 from groundwalk.training.poses import PoseBatch
+from groundwalk.training.predict import errors, pose_errors
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.steps import Precision
 

@@ -22,9 +22,7 @@ from groundwalk.store.registry import PluginError
 from groundwalk.store.schemas import schema
 from groundwalk.training import processes
 from groundwalk.training.build import Trained, save_trained
-from groundwalk.training.checks import check_regressor
 from groundwalk.training.data import Frames, ImageCache, View
-from groundwalk.training.evaluation import answers, errors, mean_pose_errors
 from groundwalk.training.imported import imported_card, read_imported
 from groundwalk.training.inputs import (
     as_training_frames,
@@ -35,9 +33,9 @@ from groundwalk.training.inputs import (
     virtual_focal,
     warn_of_borders,
 )
-from groundwalk.training.loop import save, take_best, train
+from groundwalk.training.loop import check_regressor, save, take_best, train
 from groundwalk.training.models.regressor import PoseRegressor
-from groundwalk.training.predict import predict
+from groundwalk.training.predict import answers, errors, mean_pose_errors, predict
 from groundwalk.training.record import blueprint, record
 from groundwalk.training.regressor_settings import RegressorSettings, weights_file
 from groundwalk.training.regressors import REGRESSORS

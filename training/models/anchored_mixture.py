@@ -14,8 +14,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
-from groundwalk.training.models.uncertainty import rotation_vector
-from groundwalk.training.poses import PoseBatch, canonical, exp_quaternion, multiply
+from groundwalk.training.poses import PoseBatch, canonical, exp_quaternion, multiply, rotation_vector
 
 OUTPUTS = 9  # of the network a component: logit, position and rotation beside the anchor's, logarithms of both scales
 _MEDIAN_STEPS = 12
