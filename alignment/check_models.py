@@ -123,12 +123,8 @@ def check_models(inputs: AlignInputs, settings: AlignSettings) -> CheckedMap:
     """
     registered = inputs.sfm.registered
     if not registered.any():
-        raise UserError(
-            "nothing to align: SfM registered no frame",
-            where="sfm.images",
-            found=f"0 of {len(inputs.frames)} frames registered",
-            do="look at the sfm recording and its pairs table",
-        )
+        found, do = f"0 of {len(inputs.frames)} frames registered", "look at the sfm recording and its pairs table"
+        raise UserError("nothing to align: SfM registered no frame", where="sfm.images", found=found, do=do)
     names, segments = cut_segments(inputs.frames, inputs.sfm.images, inputs.jumps, inputs.recordings, inputs.numbers)
     models = [(name, [s for s in segments if s.component == index]) for index, name in enumerate(names)]
     checks = check_registration(inputs.frames, registered, inputs.recordings, settings.min_registered_fraction)

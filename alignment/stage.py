@@ -23,11 +23,10 @@ from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.rulers import scale_check
 from groundwalk.alignment.rulers.detection import find_rulers
 from groundwalk.alignment.rulers.measurement import measure_rulers
-from groundwalk.alignment.sessions import SessionFit
+from groundwalk.alignment.sessions import SessionFit, rms
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
 from groundwalk.consistency.decisions import Status
-from groundwalk.geometry.poses import Array
 from groundwalk.scoring.bootstrap import finite
 from groundwalk.store import StageRun
 from groundwalk.store.choices import QualityClass, ScaleSource, UpSource, VerticalSource
@@ -296,16 +295,12 @@ def _describe_fit(fit: SessionFit) -> str:
     if not len(fit.compared):
         return f"{name}: too few frames with ground truth and VIO to align"
     text = (
-        f"{name}: VIO off by {_rms(fit.rigid.position_m):.3f} m RMS, rotation median "
+        f"{name}: VIO off by {rms(fit.rigid.position_m):.3f} m RMS, rotation median "
         f"{np.median(fit.rigid.rotation_deg):.2f}° over {fit.segment.path_m:.1f} m"
     )
     if not len(fit.sim3.position_m):
         return text
     return (
-        f"{text}; after a Sim3 fit {_rms(fit.sim3.position_m):.3f} m RMS, rotation median "
+        f"{text}; after a Sim3 fit {rms(fit.sim3.position_m):.3f} m RMS, rotation median "
         f"{np.median(fit.sim3.rotation_deg):.2f}°"
     )
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))

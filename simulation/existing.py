@@ -57,10 +57,8 @@ def _simulator_marker(folder: Path) -> dict[str, Any] | None:
         found = f"{SIMULATED_MARKER} doesn't list its sessions"
         raise UserError("the marker of simulated captures is damaged", where=folder, found=found)
     if foreign := sorted({*file_names(folder)} - files):
+        found = name_list(foreign, 3)
         raise UserError(
-            "the folder of simulated captures holds other files",
-            where=folder,
-            found=name_list(foreign, 3),
-            do="move them away",
+            "the folder of simulated captures holds other files", where=folder, found=found, do="move them away"
         )
     return marker

@@ -47,11 +47,8 @@ def simulate(
     scene that can't be simulated, or a folder that holds anything which this function didn't write.
     """
     if scene not in NAMES:
-        raise UserError(
-            f"scene {scene} can't be simulated",
-            expected=f"one of {', '.join(NAMES)}",
-            do=f"{link_command(data.captures(scene), profile)}, for captures of your own",
-        )
+        do = f"{link_command(data.captures(scene), profile)}, for captures of your own"
+        raise UserError(f"scene {scene} can't be simulated", expected=f"one of {', '.join(NAMES)}", do=do)
     settings = resolve_settings(SimulateSettings, "simulate", data, profile, scene, overrides or [])
     config = data.scene(scene)[0]
     final = data.captures(scene)

@@ -71,12 +71,8 @@ def _read(path: Path) -> pd.DataFrame:
         table["covariance"] = _covariances(table, path)
     wrong = [name for name in table["model"].unique() if not is_id(name)]
     if wrong:
-        raise UserError(
-            "predictions are of a regressor whose name can't be used",
-            where=f"{path}, column model",
-            expected=AN_ID,
-            found=repr(wrong[0]),
-        )
+        what = "predictions are of a regressor whose name can't be used"
+        raise UserError(what, where=f"{path}, column model", expected=AN_ID, found=repr(wrong[0]))
     return table
 
 
@@ -120,11 +116,9 @@ def _of_frames(
             r.say(f"warning: {name}: {count} predictions {meaning}")
     usable = usable[finite].reset_index(drop=True)
     if usable.empty:
+        expected, found = f"frame_id as {frames['frame_id'].iloc[0]}", f"{rows['frame_id'].iloc[0]}, {len(rows)} rows"
         raise UserError(
-            f"no prediction of {name} is of a frame of this scene",
-            where=path,
-            expected=f"frame_id as {frames['frame_id'].iloc[0]}",
-            found=f"{rows['frame_id'].iloc[0]}, {len(rows)} rows",
+            f"no prediction of {name} is of a frame of this scene", where=path, expected=expected, found=found
         )
     length = np.linalg.norm(usable[_POSE[3:]].to_numpy(float), axis=1)
     wrong = (length < _MIN_QUATERNION) | (length > _MAX_QUATERNION)

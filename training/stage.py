@@ -117,18 +117,13 @@ def run(r: StageRun[TrainSettings]) -> None:
 def choose_device(wanted: str, count: int) -> torch.device:
     """The device to train on; UserError where a GPU is asked for and there is none, or not one for each process."""
     if wanted == "cuda" and not torch.cuda.is_available():
-        raise UserError(
-            "no CUDA device",
-            found="device = cuda, which PyTorch doesn't see",
-            do="set " + setting_of("train", 'device = "auto"'),
-        )
+        do = "set " + setting_of("train", 'device = "auto"')
+        raise UserError("no CUDA device", found="device = cuda, which PyTorch doesn't see", do=do)
     device = torch.device("cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu")
     if device.type == "cuda" and count > max(1, torch.cuda.device_count()):
-        raise UserError(
-            "each process trains on a GPU of its own",
-            found=f"{torch.cuda.device_count()} GPUs for {count} processes",
-            do="set a smaller number of " + setting_of("train", "processes"),
-        )
+        found = f"{torch.cuda.device_count()} GPUs for {count} processes"
+        do = "set a smaller number of " + setting_of("train", "processes")
+        raise UserError("each process trains on a GPU of its own", found=found, do=do)
     return device
 
 

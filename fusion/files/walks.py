@@ -347,10 +347,6 @@ def _refuse_disagreement(frames: pd.DataFrame, table: pd.DataFrame, what: str) -
     for column in shared:
         wrong = joined[joined[column] != joined[f"{column}_other"]]
         if len(wrong):
-            row = wrong.iloc[0]
-            raise UserError(
-                f"{what}: {len(wrong)} rows have another {column} than their frames",
-                where=f"frame {row['frame_id']}",
-                expected=row[column],
-                found=row[f"{column}_other"],
-            )
+            frame_id, expected, found = wrong.iloc[0][["frame_id", column, f"{column}_other"]]
+            fault = f"{what}: {len(wrong)} rows have another {column} than their frames"
+            raise UserError(fault, where=f"frame {frame_id}", expected=expected, found=found)
