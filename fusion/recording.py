@@ -134,9 +134,10 @@ def record(
             names[key] = _path(walk.session_id, f"{walk.split}_{stretch + 1}" if stretch else walk.split)
             starts[key] = counted[walk.scene]
             counted[walk.scene] += len(walk)
+        number, since = starts[key] + np.arange(len(walk)), walk.t_ns - walk.t_ns[0]
         times = [
-            rr.TimeColumn(FRAME_TIMELINE, sequence=starts[key] + np.arange(len(walk))),
-            rr.TimeColumn(TIMELINE, duration=(walk.t_ns - walk.t_ns[0]).astype("timedelta64[ns]")),
+            rr.TimeColumn(FRAME_TIMELINE, sequence=number),
+            rr.TimeColumn(TIMELINE, duration=since.astype("timedelta64[ns]")),
         ]
         name, scene, at = names[key], _path(walk.scene), _path(walk.scene, f.run.model)
         if first:
@@ -144,8 +145,7 @@ def record(
             _log_walk(stream, f"{scene}/ground_truth", name, times, walk.map_T_cam, colours.GROUND_TRUTH)
             if walk.scene in frames:
                 seen = frames[walk.scene].set_index("frame_id").loc[list(walk.frame_id)]
-                at_frame = [(FRAME_TIMELINE, starts[key] + np.arange(len(walk))), (TIMELINE, walk.t_ns - walk.t_ns[0])]
-                log_images(stream, f"{scene}/image", seen, at_frame)
+                log_images(stream, f"{scene}/image", seen, [(FRAME_TIMELINE, number), (TIMELINE, since)])
         if not METHODS[method].fuses:
             _log_walk(stream, f"{at}/{method}", name, times, f.live_map_T_cam, _colour(f), 0.5)
         else:
