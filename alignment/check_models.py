@@ -1,6 +1,6 @@
 """Scale and vertical of each SfM model, where each lies in the map, and all checks before ground truth is given out."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -45,6 +45,7 @@ from groundwalk.store.hints import setting_of
 _CONFIRMED_M, _CONFIRMED_RAD = 0.25, float(np.radians(2.0))
 # Where more of the frames than this contradict a reference, the others may agree with it by chance.
 _MAX_CONTRADICTING = 0.25
+Models = Sequence[tuple[str, list[Segment]]]  # by their ids, the largest first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +113,7 @@ class AlignInputs:
     reference: Reference | None = None
     gravity_tested: frozenset[str] = frozenset()
     given: GivenFrame = NOT_GIVEN
-    numbers: Mapping[str, int] = field(default_factory=dict)
+    numbers: dict[str, int] = field(default_factory=dict)
 
 
 def check_models(inputs: AlignInputs, settings: AlignSettings) -> CheckedMap:
@@ -134,7 +135,7 @@ def check_models(inputs: AlignInputs, settings: AlignSettings) -> CheckedMap:
 
 
 def _check_by_vio(
-    inputs: AlignInputs, models: Sequence[tuple[str, list[Segment]]], checks: list[CheckResult], settings: AlignSettings
+    inputs: AlignInputs, models: Models, checks: list[CheckResult], settings: AlignSettings
 ) -> CheckedMap:
     frames, sfm = inputs.frames, inputs.sfm
     covariance = covariances(sfm.images["covariance"])
@@ -195,11 +196,7 @@ def _component(
 
 
 def _check_by_reference(
-    inputs: AlignInputs,
-    models: Sequence[tuple[str, list[Segment]]],
-    reference: Reference,
-    checks: list[CheckResult],
-    settings: AlignSettings,
+    inputs: AlignInputs, models: Models, reference: Reference, checks: list[CheckResult], settings: AlignSettings
 ) -> CheckedMap:
     """There are no windows: residuals are those against the reference. A ruler never sets the scale: lengths are the
     reference's."""

@@ -106,11 +106,7 @@ def camera_sd(frames: pd.DataFrame) -> float:
 
 
 def ground_truth_table(
-    frames: pd.DataFrame,
-    images: pd.DataFrame,
-    map_T_cam: Array,
-    placed: Sequence[PlacedComponent],
-    verdicts: FrameVerdicts,
+    frames: pd.DataFrame, images: pd.DataFrame, map_T_cam: Array, placed: list[PlacedComponent], verdicts: FrameVerdicts
 ) -> tuple[pd.DataFrame, list[Grade]]:
     """The align.ground_truth table of import's frames, and the classes of those that have ground truth; `images` are
     SfM's in the same order, `map_T_cam` (N, 4, 4) their poses."""

@@ -1,6 +1,6 @@
 """Segments of sessions: SfM and VIO poses of the same frames, cut where VIO jumped."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -91,11 +91,7 @@ def sessions_of(segments: Sequence[Segment]) -> list[str]:
 
 
 def cut_segments(
-    frames: pd.DataFrame,
-    images: pd.DataFrame,
-    jumps: pd.DataFrame,
-    recordings: dict[str, str],
-    numbers: Mapping[str, int],
+    frames: pd.DataFrame, images: pd.DataFrame, jumps: pd.DataFrame, recordings: dict[str, str], numbers: dict[str, int]
 ) -> tuple[list[str], list[Segment]]:
     """SfM's models that frames are registered in, those with `numbers` in their order, then the largest first, and all
     segments, by session and time; cut at VIO jumps, and each of one model.
@@ -140,7 +136,7 @@ def cut_segments(
 
 
 def _frame_components(
-    frames: pd.DataFrame, images: pd.DataFrame, numbers: Mapping[str, int]
+    frames: pd.DataFrame, images: pd.DataFrame, numbers: dict[str, int]
 ) -> tuple[list[str], np.ndarray]:
     """The models that frames are registered in, ordered as by `cut_segments`, and each frame's (N,) index of its model.
 

@@ -16,7 +16,11 @@ from groundwalk.fusion.walk import known
 from groundwalk.geometry.poses import Array, quaternion_from_matrix
 from groundwalk.store import colours
 from groundwalk.store.recording import FRAME_TIMELINE, TIMELINE, UP_AXIS, log_images, log_path, tabbed
+from groundwalk.store.registry import Colour
 
+Stream = rr.RecordingStream
+Times = list[rr.TimeColumn]
+Gates = Mapping[str, Mapping[str, float]]  # the thresholds of each method's signals
 STATUS_COLOURS = {
     Status.RELIABLE: colours.APR,
     Status.OPTIMISED: colours.FUSED,
@@ -32,7 +36,7 @@ _GATE_RANGE = 5.0  # how far a plot of a gated signal reaches, in gates
 _WITHIN_95 = 7.815  # squared standard deviations that hold 95 % of a Gaussian with three axes
 
 
-def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> rrb.Blueprint:
+def blueprint(fused: list[Fused], gates: Gates) -> rrb.Blueprint:
     """A tab a scene and model: the paths on the left; errors, status and decisions over time on the right. `gates` has
     the thresholds of each method's signals."""
     tabs = []
@@ -114,12 +118,7 @@ def _signal_view(at: str, method: str, signal: str, gate: float | None) -> rrb.T
     return rrb.TimeSeriesView(origin=f"{at}/signals/{method}/{signal}", name=signal, axis_y=axis)
 
 
-def record(
-    stream: rr.RecordingStream,
-    fused: list[Fused],
-    gates: Mapping[str, Mapping[str, float]],
-    frames: Mapping[str, pd.DataFrame],
-) -> None:
+def record(stream: Stream, fused: list[Fused], gates: Gates, frames: Mapping[str, pd.DataFrame]) -> None:
     """Log what each method said of each walk. `gates` has the thresholds of each method's signals; `frames`, of scenes
     with images, the rows of import.frames and the `file` of each."""
     starts: dict[tuple[str, str, str, int], int] = {}
@@ -160,7 +159,7 @@ def record(
         _log_series(stream, f"{at}/rotation_error_deg/{method}", times, rotation_deg, colour, method)
 
 
-def _colour(f: Fused) -> tuple[int, int, int]:
+def _colour(f: Fused) -> Colour:
     """A method's colour; what a localiser says alone has the localiser's."""
     method = METHODS[f.run.method]
     return method.colour if method.fuses else colours.localiser_colours([f.run.model])[f.run.model]
@@ -176,13 +175,7 @@ def _signals(fused: list[Fused]) -> dict[str, list[str]]:
 
 
 def _log_walk(
-    stream: rr.RecordingStream,
-    path: str,
-    name: str,
-    times: list[rr.TimeColumn],
-    map_T_cam: Array,
-    colour: tuple[int, int, int],
-    width_px: float = 1.5,
+    stream: Stream, path: str, name: str, times: Times, map_T_cam: Array, colour: Colour, width_px: float = 1.5
 ) -> None:
     """The whole path as a line, and a marker where the walk is now."""
     xyz = map_T_cam[:, :3, 3]
@@ -197,7 +190,7 @@ def _log_walk(
     )
 
 
-def _log_residuals(stream: rr.RecordingStream, path: str, f: Fused, times: list[rr.TimeColumn]) -> None:
+def _log_residuals(stream: Stream, path: str, f: Fused, times: Times) -> None:
     """A line from the frame's answer to its prediction."""
     stream.log(path, rr.LineStrips3D.from_fields(colors=colours.NEUTRAL, radii=rr.Radius.ui_points(1.0)), static=True)
     there = known(f.live_map_T_cam) & known(f.walk.map_T_cam_predicted)
@@ -206,7 +199,7 @@ def _log_residuals(stream: rr.RecordingStream, path: str, f: Fused, times: list[
     stream.send_columns(path, indexes=times, columns=columns)
 
 
-def _log_covariance(stream: rr.RecordingStream, path: str, f: Fused, times: list[rr.TimeColumn]) -> None:
+def _log_covariance(stream: Stream, path: str, f: Fused, times: Times) -> None:
     """The ellipsoid that holds the position with 95 % by the method's covariance, for methods that have one."""
     there = known(f.live_map_T_cam) & known(f.covariance)
     if not there.any():
@@ -228,9 +221,7 @@ def _log_covariance(stream: rr.RecordingStream, path: str, f: Fused, times: list
     stream.send_columns(path, indexes=times, columns=columns)
 
 
-def _log_decisions(
-    stream: rr.RecordingStream, at: str, f: Fused, times: list[rr.TimeColumn], gates: Mapping[str, float]
-) -> None:
+def _log_decisions(stream: Stream, at: str, f: Fused, times: Times, gates: Mapping[str, float]) -> None:
     """The status as a lane, and each signal with its gate."""
     method = f.run.method
     lane = f"{at}/status/{method}"
@@ -248,14 +239,7 @@ def _log_decisions(
             _log_series(stream, f"{path}/gate", times, np.full(len(values), gates[signal]), colours.REJECTED, "gate")
 
 
-def _log_series(
-    stream: rr.RecordingStream,
-    path: str,
-    times: list[rr.TimeColumn],
-    values: Array,
-    colour: tuple[int, int, int],
-    name: str,
-) -> None:
+def _log_series(stream: Stream, path: str, times: Times, values: Array, colour: Colour, name: str) -> None:
     # A line doesn't show values that stand alone.
     if np.isfinite(values).mean() < _SPARSE:
         stream.log(path, rr.SeriesPoints(colors=colour, names=name, marker_sizes=2.0), static=True)

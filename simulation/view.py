@@ -131,11 +131,7 @@ def turned(turn: list[F32], x: F32, y: F32) -> tuple[F32, F32, F32]:
     # v + 2 / (1 + |g|²) (g x v + g x (g x v))
     p, q, r = b - c * y, c * x - a, a * y - b * x
     scale = np.float32(2) / (1 + a * a + b * b + c * c)
-    return (
-        x + scale * (p + b * r - c * q),
-        y + scale * (q + c * p - a * r),
-        1 + scale * (r + a * q - b * p),
-    )
+    return (x + scale * (p + b * r - c * q), y + scale * (q + c * p - a * r), 1 + scale * (r + a * q - b * p))
 
 
 def _polynomial(coefficients_3: Array, u: F32) -> F32:

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.geometry.poses import tq_from_pose
+from groundwalk.geometry.poses import Array, tq_from_pose
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.images import Image, read_image
 from groundwalk.store.resizing import pinhole_image, small_image
@@ -80,7 +80,7 @@ def virtual_focal(frames: pd.DataFrame) -> float:
     return float(np.median(_in_short_sides(frames.iloc[rows_with_truth(frames, "train")])))
 
 
-def _in_short_sides(frames: pd.DataFrame) -> NDArray[np.float64]:
+def _in_short_sides(frames: pd.DataFrame) -> Array:
     """Focal lengths (N,)."""
     sides = frames[["width", "height"]].to_numpy(float).min(axis=1)
     return np.asarray(frames[["fx", "fy"]].to_numpy(float).mean(axis=1) / sides)

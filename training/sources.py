@@ -8,6 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from groundwalk.geometry.poses import Array
 from groundwalk.store.child import Report
 from groundwalk.store.files import written_aside
 from groundwalk.training import processes
@@ -15,7 +16,7 @@ from groundwalk.training.data import Frames, View, jittered, normalised, pose_ba
 from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
 from groundwalk.training.poses import PoseBatch
 from groundwalk.training.predict import errors, pose_errors
-from groundwalk.training.regressor_settings import RegressorSettings
+from groundwalk.training.regressor_settings import Jitter, RegressorSettings, Turn
 from groundwalk.training.steps import Precision
 
 COPIES = 20  # turned and re-coloured ones of each training image
@@ -42,12 +43,7 @@ class Run:
 
 
 def augmented(
-    frames: Frames,
-    run: Run,
-    turn_deg: tuple[float, float, float] | None,
-    jitter: tuple[float, float, float, float],
-    rng: np.random.Generator,
-    part: slice = slice(None),
+    frames: Frames, run: Run, turn_deg: Turn | None, jitter: Jitter, rng: np.random.Generator, part: slice = slice(None)
 ) -> tuple[Tensor, PoseBatch]:
     """Training crops of a part of the frames, re-coloured and normalised, and their poses. Random numbers are drawn for
     all frames, so that a frame's are the same whatever the part."""
@@ -69,7 +65,7 @@ class ImageSource:
         recipe, training = self.run.settings.training, self.training.select(rows)
         return augmented(training, self.run, recipe.turn_deg, recipe.jitter, rng, processes.share())
 
-    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def errors(self) -> tuple[Array, Array]:
         """Position (m) and rotation errors (deg) on the held-out frames."""
         return pose_errors(self.model, self.held_out, self.run.view, self.run.device)
 
@@ -104,7 +100,7 @@ class FeatureSource:
         return self.reduced[torch.from_numpy(rows)].to(self.run.device), poses
 
     @torch.no_grad()
-    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def errors(self) -> tuple[Array, Array]:
         """As of images."""
         poses = self.model.eval().answer(self.held_out_reduced)
         return errors(*self.held_out.camera_poses(poses, self.run.view), self.held_out)
@@ -113,7 +109,7 @@ class FeatureSource:
 @torch.no_grad()
 def feature_cache(
     model: FrozenRegressor, training: Frames, run: Run, report: Report
-) -> tuple[NDArray[np.float16], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float16], Array]:
     """Features (M, ...) of all copies and the quaternions (M, 4) of their poses. They are kept in a folder, where an
     earlier run may have left them; `quaternions.npy` comes last and marks it as whole.
 

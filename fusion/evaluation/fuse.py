@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from groundwalk.fusion.methods import method
 from groundwalk.fusion.methods.localiser import Estimate, MethodOptions, Stepping, is_rigid
 from groundwalk.fusion.methods.offline import Offline, stepped
-from groundwalk.fusion.walk import Walk, known
+from groundwalk.fusion.walk import Texts, Walk, known
 from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store.parallel import one_thread
@@ -37,9 +36,9 @@ class Fused:
     run: Run
     walk: Walk
     estimates: list[Estimate]
-    status: NDArray[np.object_]
+    status: Texts
     map_T_cam: Array
-    live_status: NDArray[np.object_]
+    live_status: Texts
     live_map_T_cam: Array
 
     @property

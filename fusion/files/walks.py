@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from groundwalk.fusion.files.conventions import shares_vertical
 from groundwalk.fusion.methods.localiser import is_covariance
-from groundwalk.fusion.walk import Walk, known, with_odometry
+from groundwalk.fusion.walk import Texts, Walk, known, with_odometry
 from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.store import UserError
@@ -179,11 +178,7 @@ def evaluated(
 
 
 def _walks(
-    scene: str,
-    ordered: pd.DataFrame,
-    poses: tuple[Array, Array, Array],
-    quality: NDArray[np.object_],
-    covariance: Array | None,
+    scene: str, ordered: pd.DataFrame, poses: tuple[Array, Array, Array], quality: Texts, covariance: Array | None
 ) -> list[Walk]:
     """The walks of frames in order; `poses` are odometry's, the predictions' and the true ones (N, 4, 4)."""
     gravity, (vio_T, apr_T, true_T) = _gravity(ordered), poses
@@ -284,7 +279,7 @@ def _refuse_no_quaternions(table: pd.DataFrame, what: str) -> None:
         )
 
 
-def _qualities(truth: pd.DataFrame) -> NDArray[np.object_]:
+def _qualities(truth: pd.DataFrame) -> Texts:
     """The class of each row's ground truth, (N,); None where none is stated."""
     if "quality" not in truth.columns:
         return np.full(len(truth), None, dtype=object)

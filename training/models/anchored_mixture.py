@@ -14,6 +14,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
+from groundwalk.geometry.poses import Array
 from groundwalk.training.poses import PoseBatch, canonical, exp_quaternion, multiply, rotation_vector
 
 OUTPUTS = 9  # of the network a component: logit, position and rotation beside the anchor's, logarithms of both scales
@@ -123,9 +124,7 @@ def _offsets(c: Components, position_B3: Tensor, quaternion_B4: Tensor) -> Tenso
     return torch.cat([turn, c.position_BK3 - position_B3[:, None]], dim=-1)
 
 
-def _clusters(
-    position_N3: NDArray[np.float64], quaternion_N4: NDArray[np.float64], components: int
-) -> NDArray[np.int64]:
+def _clusters(position_N3: Array, quaternion_N4: Array, components: int) -> NDArray[np.int64]:
     """A cluster's number for each pose, by position and viewing direction; a cluster can be without poses."""
     points = np.hstack([position_N3, Rotation.from_quat(quaternion_N4).apply([0, 0, 1])])
     if len(np.unique(points, axis=0)) <= components:
