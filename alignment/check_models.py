@@ -45,7 +45,7 @@ from groundwalk.store.hints import setting_of
 _CONFIRMED_M, _CONFIRMED_RAD = 0.25, float(np.radians(2.0))
 # Where more of the frames than this contradict a reference, the others may agree with it by chance.
 _MAX_CONTRADICTING = 0.25
-Models = Sequence[tuple[str, list[Segment]]]  # by their ids, the largest first
+Models = list[tuple[str, list[Segment]]]  # by their ids, the largest first
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,10 +35,11 @@ from groundwalk.store.georeference import FILE, Georeference
 from groundwalk.store.tables import dataset_frames, with_cameras
 
 CHECKS_PLOT, CONTROL_PLOT = "checks.png", "control.png"
+AlignRun = StageRun[AlignSettings]
 _TABLES = ("ground_truth", "sessions", "drift", "checks", "residuals", "reference_agreement")
 
 
-def run(r: StageRun[AlignSettings]) -> None:
+def run(r: AlignRun) -> None:
     inputs = _read(r)
     frames, images, reference = inputs.frames, inputs.sfm.images, inputs.reference
     before = r.before if r.holds else None
@@ -95,7 +96,7 @@ def run(r: StageRun[AlignSettings]) -> None:
         recording.log_session_images(rec, frames, r.image_path)
 
 
-def _read(r: StageRun[AlignSettings]) -> AlignInputs:
+def _read(r: AlignRun) -> AlignInputs:
     frames, sessions = r.read("import", "frames").reset_index(drop=True), r.read("import", "sessions")
     sfm = SfmTables.of(frames, r.read("sfm", "images"), r.read("sfm", "intrinsics"), r.read("sfm", "pairs"))
     # SfM's poses go with its cameras.
@@ -112,7 +113,7 @@ def _read(r: StageRun[AlignSettings]) -> AlignInputs:
     )
 
 
-def _check_models(r: StageRun[AlignSettings], inputs: AlignInputs, controls: Sequence[ControlPoints]) -> CheckedMap:
+def _check_models(r: AlignRun, inputs: AlignInputs, controls: Sequence[ControlPoints]) -> CheckedMap:
     """The checked map; where it lacks scale or vertical, with those that something else gives, one after the other."""
     checked = check_models(inputs, r.settings)
     if inputs.reference is not None and inputs.reference.gives_map:
@@ -143,9 +144,7 @@ def _check_models(r: StageRun[AlignSettings], inputs: AlignInputs, controls: Seq
     return checked
 
 
-def _check_by_depth(
-    r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap
-) -> list[CheckResult]:
+def _check_by_depth(r: AlignRun, frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap) -> list[CheckResult]:
     """The checks by a depth sensor, where the map is metric; the table of its agreement is written."""
     samples = depth.sample_frames(
         frames,
@@ -172,7 +171,7 @@ def _control_checks(controls: Sequence[ControlPoints], inputs: AlignInputs, chec
 
 
 def _check_by_control(
-    r: StageRun[AlignSettings], controls: Sequence[ControlPoints], inputs: AlignInputs, checked: CheckedMap
+    r: AlignRun, controls: Sequence[ControlPoints], inputs: AlignInputs, checked: CheckedMap
 ) -> list[ControlCheck]:
     """The checks by surveyed points; their tables and picture are written."""
     checks = _control_checks(controls, inputs, checked)
@@ -186,19 +185,17 @@ def _check_by_control(
     return checks
 
 
-def _asks_for_gps(r: StageRun[AlignSettings]) -> bool:
+def _asks_for_gps(r: AlignRun) -> bool:
     return (r.folder("import") / "gps.parquet").is_file()
 
 
-def _by_gps(r: StageRun[AlignSettings], inputs: AlignInputs, checked: CheckedMap) -> Georeference:
+def _by_gps(r: AlignRun, inputs: AlignInputs, checked: CheckedMap) -> Georeference:
     map_T_cam = poses_in_map(inputs.sfm.images, checked.placed)
     map_T_cam[~checked.frames.has_ground_truth] = np.nan
     return georeference.of_gps(r.read("import", "gps"), inputs.frames, inputs.recordings, map_T_cam, checked.placed)
 
 
-def _place_on_earth(
-    r: StageRun[AlignSettings], inputs: AlignInputs, checked: CheckedMap, surveys: Sequence[ControlCheck]
-) -> None:
+def _place_on_earth(r: AlignRun, inputs: AlignInputs, checked: CheckedMap, surveys: Sequence[ControlCheck]) -> None:
     """A file that says where on earth the map is, where a survey or import's setting gps asks for it, or why it doesn't
     know."""
     asks = _asks_for_gps(r)
@@ -218,7 +215,7 @@ def _place_on_earth(
         r.say(found.describe())
 
 
-def _write_figures(r: StageRun[AlignSettings], frames: pd.DataFrame, result: AlignResult, registered: int) -> None:
+def _write_figures(r: AlignRun, frames: pd.DataFrame, result: AlignResult, registered: int) -> None:
     gt, main = result.ground_truth, result.main
     scale, vertical, status = main.component.scale, main.component.vertical, result.checks["status"]
     figures = {

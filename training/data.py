@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
@@ -127,12 +128,7 @@ class Frames:
         return normalised(to_tensor(crops, device))
 
     def training_crops(
-        self,
-        view: View,
-        turn_deg: Turn | None,
-        rng: np.random.Generator,
-        device: torch.device,
-        part: slice = slice(None),
+        self, view: View, turn_deg: Turn | None, rng: Generator, device: torch.device, part: slice = slice(None)
     ) -> tuple[Tensor, PoseBatch]:
         """Images (M, 3, height, width) in 0..1 of a part of the frames for training, and the poses that they are to be
         given. Random numbers are drawn for all frames.
@@ -192,7 +188,7 @@ def normalised(image_N3HW: Tensor) -> Tensor:
 
 
 def jittered(
-    image_N3HW: Tensor, extents: Jitter, rng: np.random.Generator, count: int | None = None, part: slice = slice(None)
+    image_N3HW: Tensor, extents: Jitter, rng: Generator, count: int | None = None, part: slice = slice(None)
 ) -> Tensor:
     """Images in 0..1 with colours changed at random, each in its own way. extents: the largest relative change of
     brightness, contrast and saturation, and of hue in turns of the colour circle, made in this order. The images are a

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from groundwalk.store import StageRun, UserError
+from groundwalk.store import UserError
 from groundwalk.store.files import sha256_of
 from groundwalk.store.registry import AN_ID, is_id
 from groundwalk.store.tables import covariance_numbers, pose_columns, read_parquet, refuse_other_types
-from groundwalk.training.settings import TrainSettings
+from groundwalk.training.inputs import TrainRun
 
 _POSE = pose_columns("map_cam")
 _NEEDED = ["model", "frame_id", *_POSE]
@@ -19,7 +19,7 @@ _OPTIONAL = ["picked_scene", "covariance", "inference_ms"]
 _MIN_QUATERNION, _MAX_QUATERNION = 0.2, 5.0  # what a network puts out may not be normalised; degrees are far from it
 
 
-def read_imported(r: StageRun[TrainSettings], frames: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, str]]:
+def read_imported(r: TrainRun, frames: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, str]]:
     """Each imported regressor's name, its rows of train.predictions, and where they are from.
 
     Rows of frames that there aren't, and rows without a finite pose, are left out, counted and said. UserError for a
@@ -40,7 +40,7 @@ def read_imported(r: StageRun[TrainSettings], frames: pd.DataFrame) -> Iterator[
             yield name, _of_frames(r, name, rows, frames, path), origin
 
 
-def imported_card(r: StageRun[TrainSettings], name: str, rows: pd.DataFrame, origin: str) -> dict[str, Any]:
+def imported_card(r: TrainRun, name: str, rows: pd.DataFrame, origin: str) -> dict[str, Any]:
     """A row of train.models for imported predictions: what training alone knows is null."""
     unknown = ("parameters", "bytes", "train_frames", "val_frames", "epochs", "best_epoch", "train_seconds")
     view = ("resize_px", "crop_px", "width_px", "upright", "focal_px")
@@ -92,9 +92,7 @@ def _covariances(table: pd.DataFrame, path: Path) -> "pd.Series[Any]":
     return numbers.reindex(table.index)
 
 
-def _of_frames(
-    r: StageRun[TrainSettings], name: str, rows: pd.DataFrame, frames: pd.DataFrame, path: Path
-) -> pd.DataFrame:
+def _of_frames(r: TrainRun, name: str, rows: pd.DataFrame, frames: pd.DataFrame, path: Path) -> pd.DataFrame:
     """The rows as train.predictions has them, in the order of `frames`, whose ids may repeat in a group's scenes."""
     keys = ["scene", "frame_id"] if "scene" in rows.columns else ["frame_id"]
     if "scene" not in rows.columns and len(r.leaves) > 1:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.random import Generator
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -43,7 +44,7 @@ class Run:
 
 
 def augmented(
-    frames: Frames, run: Run, turn_deg: Turn | None, jitter: Jitter, rng: np.random.Generator, part: slice = slice(None)
+    frames: Frames, run: Run, turn_deg: Turn | None, jitter: Jitter, rng: Generator, part: slice = slice(None)
 ) -> tuple[Tensor, PoseBatch]:
     """Training crops of a part of the frames, re-coloured and normalised, and their poses. Random numbers are drawn for
     all frames, so that a frame's are the same whatever the part."""
@@ -59,7 +60,7 @@ class ImageSource:
         self.model, self.training, self.held_out, self.run = model, training, held_out, run
         self.scene_N = training.scene_N
 
-    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
+    def batch(self, rows: NDArray[np.int64], rng: Generator) -> tuple[Tensor, PoseBatch]:
         """What the loss of this process's share of some rows is computed from (see `gradient_step`), and the true
         poses."""
         recipe, training = self.run.settings.training, self.training.select(rows)
@@ -91,7 +92,7 @@ class FeatureSource:
         self.reduced = torch.cat([model.reduced(part.to(run.device)).cpu() for part in parts])
         self.held_out_reduced = model.reduced(model.features(held_out.centre_crops(run.view, run.device)))
 
-    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
+    def batch(self, rows: NDArray[np.int64], rng: Generator) -> tuple[Tensor, PoseBatch]:
         """As of images."""
         rows = rows[processes.share()]
         frames = rows % len(self.training)

@@ -43,9 +43,7 @@ class Detection:
     xy: Array
 
 
-def find_rulers(
-    rulers: Sequence[Ruler], frames: pd.DataFrame, image_path: Callable[[str], Path]
-) -> list[RulerDetections]:
+def find_rulers(rulers: list[Ruler], frames: pd.DataFrame, image_path: Callable[[str], Path]) -> list[RulerDetections]:
     """Look for rulers in all images of import's table `frames`; distances are where the settings say.
 
     Raises UserError for an image that can't be read, a distance's frame that doesn't exist, or a pixel outside of it.
