@@ -90,6 +90,4 @@ def count_grades(grades: Sequence[Grade]) -> list[str]:
     for one in sorted(grades):
         if one.limited_by:
             groups.setdefault((one.quality, one.limited_by), []).append(one)
-    return [
-        f"{len(group)} {group[len(group) // 2].reason.removeprefix('class ')}" for _, group in sorted(groups.items())
-    ]
+    return [f"{len(same)} {same[len(same) // 2].reason.removeprefix('class ')}" for _, same in sorted(groups.items())]

@@ -30,7 +30,7 @@ STATUS_COLOURS = {
     Status.LOST: colours.VIO,
     Status.NONE: colours.REJECTED,
 }
-_MARKER_PX = 6.0
+_MARKER = rr.Radius.ui_points(6.0)
 _SPARSE = 0.5  # share of frames with a value, below which a plot has points instead of a line
 _GATE_RANGE = 5.0  # how far a plot of a gated signal reaches, in gates
 _WITHIN_95 = 7.815  # squared standard deviations that hold 95 % of a Gaussian with three axes
@@ -180,9 +180,7 @@ def _log_walk(
     """The whole path as a line, and a marker where the walk is now."""
     xyz = map_T_cam[:, :3, 3]
     log_path(stream, f"{path}/path{name}", xyz, colour, width_px)
-    stream.log(
-        f"{path}/now", rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(_MARKER_PX)), static=True
-    )
+    stream.log(f"{path}/now", rr.Points3D.from_fields(colors=colour, radii=_MARKER), static=True)
     there = known(map_T_cam)
     # A frame without a pose takes the marker away.
     stream.send_columns(

@@ -329,10 +329,8 @@ def _refuse_unknown_quality(truth: pd.DataFrame, what: str) -> None:
 def _refuse_duplicates(table: pd.DataFrame, columns: list[str], what: str) -> None:
     twice = table[table.duplicated(columns)]
     if len(twice):
-        example = ", ".join(f"{c} {twice.iloc[0][c]}" for c in columns)
-        raise UserError(
-            f"{what} have rows twice", expected=f"each {' and '.join(columns)} once", found=f"{example}, ..."
-        )
+        found = ", ".join(f"{c} {twice.iloc[0][c]}" for c in columns) + ", ..."
+        raise UserError(f"{what} have rows twice", expected=f"each {' and '.join(columns)} once", found=found)
 
 
 def _refuse_disagreement(frames: pd.DataFrame, table: pd.DataFrame, what: str) -> None:

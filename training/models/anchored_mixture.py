@@ -58,9 +58,8 @@ class PoseMixture(nn.Module):
             for k in range(self.components):
                 inside = label == k if (label == k).any() else np.arange(len(label)) == k % len(label)
                 self.position_SK3[scene, k] = torch.from_numpy(position[inside].mean(axis=0))
-                self.quaternion_SK4[scene, k] = torch.from_numpy(
-                    Rotation.from_quat(quaternion[inside]).mean().as_quat()
-                )
+                mean = Rotation.from_quat(quaternion[inside]).mean()
+                self.quaternion_SK4[scene, k] = torch.from_numpy(mean.as_quat())
 
     def decode(self, outputs: Tensor, scene_B: Tensor) -> Components:
         """The components of network outputs, of each sample's scene."""

@@ -195,9 +195,8 @@ class PoseNetLite(FrozenRegressor):
             channels.fit(part)
         parts = self._components(features)
         scales = torch.stack([part.std().clamp_min(_SMALLEST) * part.shape[1] ** 0.5 for part in parts])
-        self.whitening.fit(
-            torch.cat(parts, dim=1), scales.repeat_interleave(torch.tensor(self.widths, device=scales.device))
-        )
+        widths = torch.tensor(self.widths, device=scales.device)
+        self.whitening.fit(torch.cat(parts, dim=1), scales.repeat_interleave(widths))
 
     def answer(self, reduced: Tensor) -> PoseBatch:
         """The poses in the map frame. Covariances have the shape of the mixture's, and the size of `error_sizes`."""
