@@ -25,12 +25,8 @@ class FrameEvidence(NamedTuple):
 # of A and B lie within 0.25 m and 2 degrees. Whoever needs others has the standard errors in the table.
 CLASS_A = FrameEvidence(position_sd_m=0.02, rotation_sd_deg=0.1, observations=100, reprojection_deg=0.15)
 CLASS_B = FrameEvidence(position_sd_m=0.05, rotation_sd_deg=0.3, observations=50, reprojection_deg=0.3)
-_LIMITED_BY = (
-    ("position uncertain", " m"),
-    ("rotation uncertain", " deg"),
-    ("few points seen", ""),
-    ("reprojection", " deg"),
-)
+_LIMITED_BY = ("position uncertain", "rotation uncertain", "few points seen", "reprojection")
+_UNITS = (" m", " deg", "", " deg")
 
 
 class Grade(NamedTuple):
@@ -77,8 +73,7 @@ def grade(evidence: FrameEvidence) -> Grade:
         ratios[3] = np.nan_to_num(ratios[3], nan=np.inf)
         worst = int(np.argmax(ratios))
         if ratios[worst] > 1:
-            what, unit = _LIMITED_BY[worst]
-            return Grade(quality, what, evidence[worst], limits[worst], unit)
+            return Grade(quality, _LIMITED_BY[worst], evidence[worst], limits[worst], _UNITS[worst])
         if np.isnan(evidence.position_sd_m):
             return Grade(QualityClass.C, "uncertainty unknown")
     return Grade(QualityClass.A)

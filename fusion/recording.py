@@ -204,13 +204,9 @@ def _log_covariance(stream: Stream, path: str, f: Fused, times: Times) -> None:
         return
     variance, axes = np.linalg.eigh(f.covariance[there, 3:, 3:])
     axes[..., 0] *= np.linalg.det(axes)[:, None]
-    stream.log(
-        path,
-        rr.Ellipsoids3D.from_fields(
-            colors=(*_colour(f), 90), fill_mode="majorwireframe", line_radii=rr.Radius.ui_points(0.7)
-        ),
-        static=True,
-    )
+    thin = rr.Radius.ui_points(0.7)
+    look = rr.Ellipsoids3D.from_fields(colors=(*_colour(f), 90), fill_mode="majorwireframe", line_radii=thin)
+    stream.log(path, look, static=True)
     columns = rr.Ellipsoids3D.columns(
         centers=f.live_map_T_cam[there, :3, 3],
         half_sizes=np.sqrt(_WITHIN_95 * np.maximum(variance, 0.0)),
@@ -223,11 +219,8 @@ def _log_decisions(stream: Stream, at: str, f: Fused, times: Times, gates: Mappi
     """The status as a lane, and each signal with its gate."""
     method = f.run.method
     lane = f"{at}/status/{method}"
-    stream.log(
-        lane,
-        rr.StateConfiguration(values=[str(s) for s in STATUS_COLOURS], colors=list(STATUS_COLOURS.values())),
-        static=True,
-    )
+    states = rr.StateConfiguration(values=[str(s) for s in STATUS_COLOURS], colors=list(STATUS_COLOURS.values()))
+    stream.log(lane, states, static=True)
     stream.send_columns(lane, indexes=times, columns=rr.StateChange.columns(state=list(f.live_status)))
     for signal in _signals([f])[method]:
         path = f"{at}/signals/{method}/{signal}"

@@ -134,12 +134,8 @@ def absolute_pose(px: Array, xyz: Array, camera: Camera, seed: int) -> tuple[Arr
     pose."""
     coefficients = np.zeros(8)
     coefficients[: len(camera.distortion)] = camera.distortion
-    colmap = pycolmap.Camera(
-        model="FULL_OPENCV",
-        width=camera.width,
-        height=camera.height,
-        params=[camera.fx, camera.fy, camera.cx, camera.cy, *coefficients],
-    )
+    params = [camera.fx, camera.fy, camera.cx, camera.cy, *coefficients]
+    colmap = pycolmap.Camera(model="FULL_OPENCV", width=camera.width, height=camera.height, params=params)
     options = pycolmap.AbsolutePoseEstimationOptions()
     options.ransac.max_error = _MAX_PX * max(camera.width, camera.height) / 640 / 2
     options.ransac.random_seed = seed

@@ -28,6 +28,7 @@ _METER_PX = (32, 24)  # size of the image for auto exposure
 _METER_STEP_S = 0.5
 _CAMERA_HZ = 60
 _MOTION_S = 0.01
+_PLANES = [[0, 0, -1, -0.001], [0, 0, -1, 0]]  # of ARKit's projection: near at a millimetre, far at infinity
 
 
 @dataclass(frozen=True)
@@ -227,13 +228,7 @@ def write_frames(folder: Path, session: SessionFrames) -> None:
     arkit, w, h = session.vio_T_cam @ ARKIT_CAM_T_CAM, session.width, session.height
     content: dict[str, Any] = {"info": {"title": session.name, "appVersionString": "1.9.7"}}
     for i, (fx, fy, cx, cy) in enumerate(session.intrinsics_N4):
-        # ARKit's, with the far plane at infinity.
-        projection = [
-            [2 * fx / w, 0, 1 - 2 * cx / w, 0],
-            [0, 2 * fy / h, 2 * cy / h - 1, 0],
-            [0, 0, -1, -0.001],
-            [0, 0, -1, 0],
-        ]
+        projection = [[2 * fx / w, 0, 1 - 2 * cx / w, 0], [0, 2 * fy / h, 2 * cy / h - 1, 0], *_PLANES]
         content[FRAME.format(i)] = {
             "cameraPoseARFrame": _float32(arkit[i]),
             "projectionMatrix": _float32(projection),

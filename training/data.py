@@ -168,11 +168,8 @@ def _threads() -> ThreadPoolExecutor:
 
 
 def pose_batch(position_N3: Array, quaternion_N4: Array, scene_N: NDArray[np.int64], device: torch.device) -> PoseBatch:
-    return PoseBatch(
-        torch.tensor(position_N3, dtype=torch.float32, device=device),
-        torch.tensor(quaternion_N4, dtype=torch.float32, device=device),
-        torch.tensor(scene_N, dtype=torch.long, device=device),
-    )
+    position, quaternion = (torch.tensor(v, dtype=torch.float32, device=device) for v in (position_N3, quaternion_N4))
+    return PoseBatch(position, quaternion, torch.tensor(scene_N, dtype=torch.long, device=device))
 
 
 def to_tensor(images: list[Image], device: torch.device) -> Tensor:

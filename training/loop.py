@@ -152,11 +152,8 @@ def check_regressor(model: PoseRegressor, scenes: int, view: View, gives_covaria
         with torch.no_grad():
             answer = model.eval()(image)
         _check_poses(answer, scenes, gives_covariance)
-        truth = PoseBatch(
-            torch.randn(_CHECKED, 3),
-            torch.nn.functional.normalize(torch.randn(_CHECKED, 4), dim=-1),
-            torch.zeros(_CHECKED, dtype=torch.long),
-        )
+        position, quaternion = torch.randn(_CHECKED, 3), torch.nn.functional.normalize(torch.randn(_CHECKED, 4), dim=-1)
+        truth = PoseBatch(position, quaternion, torch.zeros(_CHECKED, dtype=torch.long))
         loss = model.train().loss(image, truth)
     if not isinstance(loss, Tensor) or loss.shape != () or not loss.requires_grad:
         raise ValueError(f"loss returned {_described(loss)}, not a scalar with a gradient")

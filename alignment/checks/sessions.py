@@ -165,12 +165,10 @@ def component_windows(component: Component, frame_sd: tuple[Array, Array]) -> li
 
 def check_window(window: SegmentWindow) -> list[CheckResult]:
     """Both checks of a window: its largest residuals against what VIO may drift by over its path."""
-    degrees = float(np.degrees(1.0))
+    w, degrees = window, float(np.degrees(1.0))
     return [
-        _check_residuals(CheckName.WINDOW_POSITION, window, window.position_m, window.position_sd_m, window.limit_m),
-        _check_residuals(
-            CheckName.WINDOW_ROTATION, window, window.rotation, window.rotation_sd, window.limit_rotation, degrees
-        ),
+        _check_residuals(CheckName.WINDOW_POSITION, w, w.position_m, w.position_sd_m, w.limit_m),
+        _check_residuals(CheckName.WINDOW_ROTATION, w, w.rotation, w.rotation_sd, w.limit_rotation, degrees),
     ]
 
 

@@ -130,17 +130,11 @@ def _with_raw(options: dict[str, MethodOptions], settings: FuseSettings) -> dict
 
 def _method_rows(options: dict[str, MethodOptions]) -> pd.DataFrame:
     """Table fuse.methods."""
-    return pd.DataFrame(
-        {
-            "method": name,
-            "options": options_json(chosen),
-            "label": METHODS[name].label,
-            "fuses": METHODS[name].fuses,
-            "causal": METHODS[name].causal,
-            "meaning": METHODS[name].meaning,
-        }
-        for name, chosen in options.items()
-    )
+    rows = []
+    for name, chosen in options.items():
+        told = {field: getattr(METHODS[name], field) for field in ("label", "fuses", "causal", "meaning")}
+        rows.append({"method": name, "options": options_json(chosen), **told})
+    return pd.DataFrame(rows)
 
 
 def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator[tuple[str, list[Walk]]]:

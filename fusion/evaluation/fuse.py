@@ -149,14 +149,5 @@ def pose_errors(estimated: Array, true: Array) -> tuple[Array, Array]:
 
 
 def _keys(fused: Fused) -> pd.DataFrame:
-    walk = fused.walk
-    return pd.DataFrame(
-        {
-            **vars(fused.run),
-            "scene": walk.scene,
-            "frame_id": walk.frame_id,
-            "session_id": walk.session_id,
-            "split": walk.split,
-            "t_ns": walk.t_ns,
-        }
-    )
+    of_walk = {name: getattr(fused.walk, name) for name in ("scene", "frame_id", "session_id", "split", "t_ns")}
+    return pd.DataFrame(vars(fused.run) | of_walk)

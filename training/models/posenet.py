@@ -100,7 +100,5 @@ class PoseNet(BackboneRegressor):
         """L1 of position and of log-quaternion, on the hemisphere w >= 0."""
         position, log_q = self._regress(image_B3HW)
         true_position, true_quaternion = self.frames.from_map(poses)
-        return self.loss_weights(
-            nn.functional.l1_loss(position, true_position),
-            nn.functional.l1_loss(log_q, log_quaternion(true_quaternion)),
-        )
+        rotation_loss = nn.functional.l1_loss(log_q, log_quaternion(true_quaternion))
+        return self.loss_weights(nn.functional.l1_loss(position, true_position), rotation_loss)
