@@ -37,12 +37,8 @@ class VioOracle(Offline):
                 for i in frames:
                     answers[i] = Estimate(None, Status.NONE, reasons=("no_ground_truth",))
                 continue
-            true_T_cam, vio_T_cam, rotation_sd = (
-                walk.map_T_cam[fitted],
-                walk.vio_T_cam[fitted],
-                radians(o.rotation_sd_deg),
-            )
-            map_T_vio = fit_poses(true_T_cam, vio_T_cam, position_sd_m=o.position_sd_m, rotation_sd=rotation_sd)
+            true_T_cam, vio_T_cam, sd = walk.map_T_cam[fitted], walk.vio_T_cam[fitted], radians(o.rotation_sd_deg)
+            map_T_vio = fit_poses(true_T_cam, vio_T_cam, position_sd_m=o.position_sd_m, rotation_sd=sd)
             for i in frames:
                 answers[i] = Estimate(map_T_vio @ walk.vio_T_cam[i], Status.OPTIMISED, map_T_vio=map_T_vio)
         return answers
