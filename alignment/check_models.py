@@ -90,12 +90,9 @@ class CheckedMap:
                 segments = [replace(s, rows=row_of[s.rows]) for s in segments]
                 components[component.index] = replace(component, segments=segments)
         placed = [p for p in self.placed if p.component.index in components]
-        return replace(
-            self,
-            components=list(components.values()),
-            placed=[replace(p, component=components[p.component.index]) for p in placed],
-            frames=FrameVerdicts(**{name: values[mask] for name, values in vars(self.frames).items()}),
-        )
+        placed = [replace(p, component=components[p.component.index]) for p in placed]
+        frames = FrameVerdicts(**{name: values[mask] for name, values in vars(self.frames).items()})
+        return replace(self, components=list(components.values()), placed=placed, frames=frames)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,13 +153,8 @@ def _check_by_vio(
     in_use = [c for c in components if any(used[s.rows].any() for s in c.segments)]
     placed, unlinked = place_components(in_use, used, settings.vio_link_m)
     checks += check_links(placed, unlinked, settings.vio_link_m)
-    return CheckedMap(
-        components=components,
-        placed=placed,
-        checks=checks,
-        frames=_verdicts(sfm, checks, components, problem, (residual_m, residual_rad)),
-        windows=windows,
-    )
+    verdicts = _verdicts(sfm, checks, components, problem, (residual_m, residual_rad))
+    return CheckedMap(components=components, placed=placed, checks=checks, frames=verdicts, windows=windows)
 
 
 def _component(
@@ -236,13 +228,9 @@ def _check_by_reference(
         compared = component.registered_rows[np.isfinite(residual_m[component.registered_rows])]
         if refused[compared].mean() > _MAX_CONTRADICTING:
             problem[compared] = f"{refused[compared].sum()} of {len(compared)} frames contradict the reference"
-    return CheckedMap(
-        components=components,
-        placed=placed,
-        checks=checks,
-        frames=_verdicts(inputs.sfm, checks, components, problem, (residual_m, residual_rad)),
-        reference_limit=(limits.position(reference.extent), limits.rotation),
-    )
+    verdicts = _verdicts(inputs.sfm, checks, components, problem, (residual_m, residual_rad))
+    limit = (limits.position(reference.extent), limits.rotation)
+    return CheckedMap(components=components, placed=placed, checks=checks, frames=verdicts, reference_limit=limit)
 
 
 def _verdicts(

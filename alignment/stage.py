@@ -146,13 +146,9 @@ def _check_models(r: AlignRun, inputs: AlignInputs, controls: Sequence[ControlPo
 
 def _check_by_depth(r: AlignRun, frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap) -> list[CheckResult]:
     """The checks by a depth sensor, where the map is metric; the table of its agreement is written."""
+    folders, usable = r.read("sfm", "models").set_index("model_id")["folder"], checked.frames.has_ground_truth
     samples = depth.sample_frames(
-        frames,
-        images,
-        checked.frames.has_ground_truth,
-        checked.placed,
-        lambda model_id: r.folder("sfm") / r.read("sfm", "models").set_index("model_id")["folder"][model_id],
-        r.image_path,
+        frames, images, usable, checked.placed, lambda model_id: r.folder("sfm") / folders[model_id], r.image_path
     )
     agreement = depth.agreement_table(samples, r.seed)
     r.write("depth_agreement", agreement)

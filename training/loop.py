@@ -51,11 +51,9 @@ def train(report: Report, model: PoseRegressor, training: Frames, held_out: Fram
         model.load_state_dict(saved["model"])
         optimiser.load_state_dict(saved["optimiser"])
         history, best = saved["history"], saved["best"]
-    source = (
-        FeatureSource(report, model, training, held_out, run, resumed=bool(history))
-        if isinstance(model, FrozenRegressor)
-        else ImageSource(model, training, held_out, run)
-    )
+    source: ImageSource | FeatureSource = ImageSource(model, training, held_out, run)
+    if isinstance(model, FrozenRegressor):
+        source = FeatureSource(report, model, training, held_out, run, resumed=bool(history))
     gradient = gradient_step(model, run.precision, run.device)
 
     report(len(history))

@@ -179,13 +179,10 @@ def _check_residuals(
     wrong, right = beyond(residuals, sds, limit), within(residuals, sds, limit)
     # The frame that decides: beyond the limit for certain, else the one that may be furthest.
     worst = int(np.argmax(residuals + SIGMAS * sds * (-1.0 if wrong.any() else 1.0)))
-    result = evaluate(
-        name,
-        Subject(len(rows), window.segment.session_id, window.segment.component, t_ns),
-        Quantity(unit * float(residuals[worst]), unit * float(sds[worst])),
-        unit * limit,
-        Failure(FailureCause.VIO_INCONSISTENT, f"{int(window.wrong.sum())} of {len(rows)} frames: {_APART}"),
-    )
+    subject = Subject(len(rows), window.segment.session_id, window.segment.component, t_ns)
+    estimate = Quantity(unit * float(residuals[worst]), unit * float(sds[worst]))
+    failure = Failure(FailureCause.VIO_INCONSISTENT, f"{int(window.wrong.sum())} of {len(rows)} frames: {_APART}")
+    result = evaluate(name, subject, estimate, unit * limit, failure)
     return replace(result, exclusions=(Exclusion(rows[wrong], _APART),), undecided_rows=rows[~wrong & ~right])
 
 

@@ -69,15 +69,10 @@ def _detections(ruler: BoardRuler, by_image: Sequence[Detection], paths: Sequenc
     seen = [(row, d) for row, d in enumerate(by_image) if len(d.corner)]
     corners = nominal_corners(ruler)
     corner = np.concatenate([np.empty(0, dtype=np.int64), *(d.corner for _, d in seen)])
-    return RulerDetections(
-        ruler,
-        corners,
-        held_out_corners(ruler, corners, corner),
-        np.repeat([row for row, _ in seen], [len(d.corner) for _, d in seen]).astype(np.int64),
-        corner,
-        np.concatenate([np.empty((0, 2)), *(d.xy for _, d in seen)]),
-        "" if seen else explain_absence(ruler, paths),
-    )
+    row = np.repeat([row for row, _ in seen], [len(d.corner) for _, d in seen]).astype(np.int64)
+    xy = np.concatenate([np.empty((0, 2)), *(d.xy for _, d in seen)])
+    held_out, absence = held_out_corners(ruler, corners, corner), "" if seen else explain_absence(ruler, paths)
+    return RulerDetections(ruler, corners, held_out, row, corner, xy, absence)
 
 
 def _read_off(ruler: DistanceRuler, frames: pd.DataFrame) -> RulerDetections:

@@ -181,31 +181,19 @@ def _walks(
     scene: str, ordered: pd.DataFrame, poses: tuple[Array, Array, Array], quality: Texts, covariance: Array | None
 ) -> list[Walk]:
     """The walks of frames in order; `poses` are odometry's, the predictions' and the true ones (N, 4, 4)."""
-    gravity, (vio_T, apr_T, true_T) = _gravity(ordered), poses
+    gravity, (vio_T, _, true_T) = _gravity(ordered), poses
     states_gravity = set(_GRAVITY) <= set(ordered.columns)
     # A new walk begins where the session or the split changes in time.
     key = ordered["session_id"].astype(str) + "/" + ordered["split"]
     number = (key != key.shift()).cumsum().to_numpy()
     walks = []
+    columns = ordered["frame_id"].to_numpy(object), ordered["t_ns"].to_numpy(np.int64), gravity, *poses, quality
     for rows in (number == n for n in np.unique(number)):
         first = ordered.iloc[int(np.argmax(rows))]
-        walks.append(
-            Walk(
-                scene,
-                str(first["session_id"]),
-                str(first["split"]),
-                ordered["frame_id"].to_numpy(object)[rows],
-                ordered["t_ns"].to_numpy(np.int64)[rows],
-                gravity[rows],
-                vio_T[rows],
-                apr_T[rows],
-                true_T[rows],
-                quality[rows],
-                None if covariance is None else covariance[rows],
-                (not states_gravity or bool(np.isfinite(gravity[rows]).any()))
-                and shares_vertical(true_T[rows], vio_T[rows]),
-            )
-        )
+        has_vertical = not states_gravity or bool(np.isfinite(gravity[rows]).any())
+        is_shared = has_vertical and shares_vertical(true_T[rows], vio_T[rows])
+        of_walk, uncertain = (values[rows] for values in columns), None if covariance is None else covariance[rows]
+        walks.append(Walk(scene, str(first["session_id"]), str(first["split"]), *of_walk, uncertain, is_shared))
     return walks
 
 
