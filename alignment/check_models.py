@@ -8,14 +8,7 @@ import pandas as pd
 
 from groundwalk.alignment.checks.definitions import DEFINITIONS
 from groundwalk.alignment.checks.models import check_links, check_registration, check_standard_errors, missing_scale
-from groundwalk.alignment.checks.results import (
-    CheckResult,
-    Subject,
-    exclusion_reasons,
-    main_failure,
-    undecided_reasons,
-    with_status,
-)
+from groundwalk.alignment.checks.results import CheckResult, Subject, exclusion_reasons, main_failure, undecided_reasons
 from groundwalk.alignment.checks.sessions import (
     check_focal_length,
     check_sessions,
@@ -272,7 +265,7 @@ def refusal(checked: CheckedMap, frames: pd.DataFrame, settings: AlignSettings) 
     fraction, main = passed.sum() / registered.sum(), main_failure(checked.checks)
     if main is None or (fraction >= settings.min_consistent_fraction and passed.any()):
         return None
-    failed = len(with_status(checked.checks, Status.FAILED))
+    failed = sum(check.status is Status.FAILED for check in checked.checks)
     return UserError(
         f"the SfM model fails its consistency checks: {main.cause}",
         where=_place_of(main, checked.checks, frames),
@@ -286,7 +279,7 @@ def refusal(checked: CheckedMap, frames: pd.DataFrame, settings: AlignSettings) 
 def _place_of(check: CheckResult, checks: Sequence[CheckResult], frames: pd.DataFrame) -> str:
     """Where a check failed: its session or model, or the frames of the worst window."""
     if check.subject.t_ns is not None:
-        failed = [c for c in with_status(checks, Status.FAILED) if c.name is check.name]
+        failed = [c for c in checks if c.status is Status.FAILED and c.name is check.name]
         worst = max(failed, key=lambda c: (c.value or 0.0) / c.limit).subject
         assert worst.t_ns is not None  # as all of that name
         of_session = frames[frames["session_id"] == worst.session_id].set_index("t_ns")["frame_id"]

@@ -20,20 +20,11 @@ from groundwalk.store.child import Report, Task, in_children
 from groundwalk.store.hints import setting_of
 from groundwalk.store.registry import PluginError
 from groundwalk.store.schemas import schema
-from groundwalk.training import processes
+from groundwalk.training import inputs, processes
 from groundwalk.training.build import Trained, save_trained
 from groundwalk.training.data import Frames, ImageCache, View
 from groundwalk.training.imported import imported_card, read_imported
-from groundwalk.training.inputs import (
-    TrainRun,
-    as_training_frames,
-    check_trainable,
-    read_frames,
-    rows_with_truth,
-    small_images,
-    virtual_focal,
-    warn_of_borders,
-)
+from groundwalk.training.inputs import TrainRun, rows_with_truth
 from groundwalk.training.loop import check_regressor, save, take_best, train
 from groundwalk.training.models.regressor import PoseRegressor
 from groundwalk.training.predict import answers, errors, mean_pose_errors, predict
@@ -79,21 +70,23 @@ class Job:
 
 def run(r: TrainRun) -> None:
     r.warn_of_scale()
-    frames = read_frames(r)
+    frames = inputs.read_frames(r)
     torch.set_num_threads(r.settings.threads)
     device = choose_device(r.settings.device, r.settings.processes)
     imported = list(read_imported(r, frames))
     models = models_of(r)
     if models:
-        check_trainable(frames, r.folder("align", r.leaves[0]))
-    focal = virtual_focal(frames) if models and r.settings.undistort else None
+        inputs.check_trainable(frames, r.folder("align", r.leaves[0]))
+    focal = inputs.virtual_focal(frames) if models and r.settings.undistort else None
     if focal is not None:
         r.figure("virtual focal length in shorter image sides", focal)
-        warn_of_borders(r, frames, focal)
+        inputs.warn_of_borders(r, frames, focal)
     with r.step("images"):
         sides = sorted({r.settings.resize, *(short_side(r.settings, model) for model in models)})
-        caches = {s: ImageCache.build(r.scratch / f"images-{s}", small_images(r, frames, focal, s)) for s in sides}
-        data = {side: as_training_frames(frames, cache, focal) for side, cache in caches.items()}
+        caches = {
+            s: ImageCache.build(r.scratch / f"images-{s}", inputs.small_images(r, frames, focal, s)) for s in sides
+        }
+        data = {side: inputs.as_training_frames(frames, cache, focal) for side, cache in caches.items()}
     report_mean_pose(r, frames, data[r.settings.resize])
 
     faults: list[PluginError] = []

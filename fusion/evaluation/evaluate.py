@@ -10,16 +10,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.fusion.definition import FuseSettings
-from groundwalk.fusion.evaluation.fuse import (
-    Fused,
-    Run,
-    error_rows,
-    fuse_all,
-    options_json,
-    pose_rows,
-    signal_rows,
-    stacked,
-)
+from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, pose_rows, signal_rows, stacked
 from groundwalk.fusion.evaluation.sessions import session_figures
 from groundwalk.fusion.evaluation.summary import figures, intervals, summarise
 from groundwalk.fusion.evaluation.sweep import around, sweep
@@ -51,11 +42,8 @@ class Results:
 
 def resolved(settings: FuseSettings) -> dict[str, MethodOptions]:
     """The options of each method that is to run and can. UserError where no method can be used."""
-    chosen = {
-        name: resolve_options(name, settings.options.get(name))
-        for name in dict.fromkeys(settings.methods)
-        if name in METHODS
-    }
+    usable = [name for name in dict.fromkeys(settings.methods) if name in METHODS]
+    chosen = {name: resolve_options(name, settings.options.get(name)) for name in usable}
     if not chosen:
         method(settings.methods[0])
     return chosen
@@ -87,7 +75,7 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
         for name, chosen in options.items():
             if name in left_out:
                 continue
-            run = Run(name, options_json(chosen), model)
+            run = Run(name, chosen.json_text, model)
             make = partial(method(name).make, chosen)
             try:
                 with METHODS.guard(name):
@@ -133,7 +121,7 @@ def _method_rows(options: dict[str, MethodOptions]) -> pd.DataFrame:
     rows = []
     for name, chosen in options.items():
         told = {field: getattr(METHODS[name], field) for field in ("label", "fuses", "causal", "meaning")}
-        rows.append({"method": name, "options": options_json(chosen), **told})
+        rows.append({"method": name, "options": chosen.json_text, **told})
     return pd.DataFrame(rows)
 
 

@@ -1,6 +1,5 @@
 """Running localisers over walks, frame by frame as a device would, and measuring what they said."""
 
-import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -8,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.fusion.methods import method
-from groundwalk.fusion.methods.localiser import Estimate, MethodOptions, Stepping, is_rigid
+from groundwalk.fusion.methods.localiser import Estimate, Stepping, is_rigid
 from groundwalk.fusion.methods.offline import Offline, stepped
 from groundwalk.fusion.walk import Texts, Walk, known
 from groundwalk.geometry.poses import Array
@@ -131,11 +130,6 @@ def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
     kept = list(parts)
     # Empty parts would blur the column types.
     return pd.concat([p for p in kept if len(p)] or kept[:1], ignore_index=True)
-
-
-def options_json(options: MethodOptions) -> str:
-    """Options as the tables hold them: JSON with sorted keys."""
-    return json.dumps(options.model_dump(mode="json"), sort_keys=True)
 
 
 def pose_errors(estimated: Array, true: Array) -> tuple[Array, Array]:

@@ -3,6 +3,7 @@ as JSON has it: data alone, so that a state from elsewhere runs no code."""
 
 import base64
 import io
+import json
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping
@@ -62,6 +63,11 @@ class Estimate:
 
 class MethodOptions(Settings):
     """Base of every method's options."""
+
+    @property
+    def json_text(self) -> str:
+        """The options as tables hold them: JSON with sorted keys."""
+        return json.dumps(self.model_dump(mode="json"), sort_keys=True)
 
     @property
     def gates(self) -> dict[str, float]:
