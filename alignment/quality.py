@@ -53,9 +53,8 @@ def grade_frames(frames: pd.DataFrame, images: pd.DataFrame, covariance: Array, 
     sd_m, sd_rad = largest_sd(covariance)
     observations = images["observations"].to_numpy(float, na_value=0.0)
     # Pixels mean different angles at different image sizes.
-    reprojection_deg = np.degrees(
-        np.arctan2(images["reprojection_px"].to_numpy(float, na_value=np.nan), frames["fx"].to_numpy(float))
-    )
+    reprojection_px = images["reprojection_px"].to_numpy(float, na_value=np.nan)
+    reprojection_deg = np.degrees(np.arctan2(reprojection_px, frames["fx"].to_numpy(float)))
     evidence = np.column_stack([sd_m, np.degrees(sd_rad), observations, reprojection_deg])
     return [
         Grade(QualityClass.C, reason) if reason else grade(FrameEvidence(*row))

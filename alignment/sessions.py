@@ -146,11 +146,8 @@ def residuals_table(
 
 
 def _statistics(name: str, unit: str, values: Array) -> dict[str, float | None]:
-    return {
-        f"{name}_rms_{unit}": rms(values),
-        f"{name}_median_{unit}": _median(values),
-        f"{name}_max_{unit}": float(values.max()) if len(values) else None,
-    }
+    largest = float(values.max()) if len(values) else None
+    return {f"{name}_rms_{unit}": rms(values), f"{name}_median_{unit}": _median(values), f"{name}_max_{unit}": largest}
 
 
 def rms(values: Array) -> float | None:

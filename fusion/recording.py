@@ -78,9 +78,8 @@ def blueprint(fused: list[Fused], gates: Gates) -> rrb.Blueprint:
         )
         name = f"{scene} · {model}"
         image = rrb.Spatial2DView(origin=f"{_path(scene)}/image", name="image")
-        tabs.append(
-            rrb.Horizontal(rrb.Vertical(paths, image, row_shares=[2, 1]), plots, column_shares=[3, 2], name=name)
-        )
+        places = rrb.Vertical(paths, image, row_shares=[2, 1])
+        tabs.append(rrb.Horizontal(places, plots, column_shares=[3, 2], name=name))
     return tabbed(tabs)
 
 
@@ -183,9 +182,8 @@ def _log_walk(
     stream.log(f"{path}/now", rr.Points3D.from_fields(colors=colour, radii=_MARKER), static=True)
     there = known(map_T_cam)
     # A frame without a pose takes the marker away.
-    stream.send_columns(
-        f"{path}/now", indexes=times, columns=rr.Points3D.columns(positions=xyz[there]).partition(there.astype(int))
-    )
+    markers = rr.Points3D.columns(positions=xyz[there]).partition(there.astype(int))
+    stream.send_columns(f"{path}/now", indexes=times, columns=markers)
 
 
 def _log_residuals(stream: Stream, path: str, f: Fused, times: Times) -> None:

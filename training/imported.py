@@ -101,9 +101,8 @@ def _of_frames(r: TrainRun, name: str, rows: pd.DataFrame, frames: pd.DataFrame,
     if len(twice):
         raise UserError(f"predictions of {name} have a frame twice", where=path, found=twice.iloc[0]["frame_id"])
     rows = rows.assign(**{column: rows.get(column) for column in _OPTIONAL})
-    usable = frames[["scene", "frame_id", "session_id", "split", "t_ns"]].merge(
-        rows[[*keys, *_POSE, *_OPTIONAL]], on=keys
-    )
+    stated = rows[[*keys, *_POSE, *_OPTIONAL]]
+    usable = frames[["scene", "frame_id", "session_id", "split", "t_ns"]].merge(stated, on=keys)
     finite = np.isfinite(usable[_POSE].to_numpy(float, na_value=np.nan)).all(axis=1)
     for what, count, meaning in (
         ("unknown", len(rows) - len(usable), "are of frames that this scene doesn't have"),

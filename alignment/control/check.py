@@ -300,9 +300,8 @@ def _wrong(points: ControlPoints, mapped: MappedPoints, similar: Sim3 | None, ou
 
 def _listed(points: ControlPoints, wrong: dict[int, str]) -> str:
     """The wrong points in words, each reason once."""
-    return "; ".join(
-        dict.fromkeys(text if "exchanged" in text else f"{points.names[row]} is {text}" for row, text in wrong.items())
-    )
+    told = (text if "exchanged" in text else f"{points.names[row]} is {text}" for row, text in wrong.items())
+    return "; ".join(dict.fromkeys(told))
 
 
 def _tilt_deg(fit: ControlFit, up: Array, vertical: Vertical) -> tuple[float, float]:

@@ -182,9 +182,8 @@ def explain_absence(ruler: BoardRuler, paths: Sequence[Path]) -> str:
 
 
 def _board(ruler: CharucoRuler) -> cv2.aruco.CharucoBoard:
-    board = cv2.aruco.CharucoBoard(
-        (ruler.squares_x, ruler.squares_y), ruler.square_mm, ruler.marker_mm, dictionary(ruler.dictionary)
-    )
+    squares, sizes_mm = (ruler.squares_x, ruler.squares_y), (ruler.square_mm, ruler.marker_mm)
+    board = cv2.aruco.CharucoBoard(squares, *sizes_mm, dictionary(ruler.dictionary))
     board.setLegacyPattern(ruler.legacy)
     return board
 

@@ -205,9 +205,8 @@ def _sign(b: Builder, front: _Front) -> None:
         details.emblem(canvas, canvas.width_m / 2, canvas.height_m * 0.62, 0.25 * canvas.width_m)
         canvas.text(0.05, 0.12, 0.14, details.word(canvas.rng, 2), (245, 245, 245), canvas.width_m - 0.1)
 
-    front.box(
-        b, "sign", (b.rng.uniform(0.5, front.width_m - 0.5), 0.5), (0.06, 0.8, 0.8), sign, bottom=2.75, solid=False
-    )
+    x = b.rng.uniform(0.5, front.width_m - 0.5)
+    front.box(b, "sign", (x, 0.5), (0.06, 0.8, 0.8), sign, bottom=2.75, solid=False)
 
 
 def planter(b: Builder, name: str, centre: Xz, yaw_deg: float = 0.0) -> None:
