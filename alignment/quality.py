@@ -25,8 +25,12 @@ class FrameEvidence(NamedTuple):
 # of A and B lie within 0.25 m and 2 degrees. Whoever needs others has the standard errors in the table.
 CLASS_A = FrameEvidence(position_sd_m=0.02, rotation_sd_deg=0.1, observations=100, reprojection_deg=0.15)
 CLASS_B = FrameEvidence(position_sd_m=0.05, rotation_sd_deg=0.3, observations=50, reprojection_deg=0.3)
-_LIMITED_BY = ("position uncertain", "rotation uncertain", "few points seen", "reprojection")
-_UNITS = (" m", " deg", "", " deg")
+_LIMITED_BY = (
+    ("position uncertain", " m"),
+    ("rotation uncertain", " deg"),
+    ("few points seen", ""),
+    ("reprojection", " deg"),
+)
 
 
 class Grade(NamedTuple):
@@ -72,7 +76,8 @@ def grade(evidence: FrameEvidence) -> Grade:
         ratios[3] = np.nan_to_num(ratios[3], nan=np.inf)
         worst = int(np.argmax(ratios))
         if ratios[worst] > 1:
-            return Grade(quality, _LIMITED_BY[worst], evidence[worst], limits[worst], _UNITS[worst])
+            what, unit = _LIMITED_BY[worst]
+            return Grade(quality, what, evidence[worst], limits[worst], unit)
         if np.isnan(evidence.position_sd_m):
             return Grade(QualityClass.C, "uncertainty unknown")
     return Grade(QualityClass.A)

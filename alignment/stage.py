@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -146,10 +147,12 @@ def _check_models(r: AlignRun, inputs: AlignInputs, controls: Sequence[ControlPo
 
 def _check_by_depth(r: AlignRun, frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap) -> list[CheckResult]:
     """The checks by a depth sensor, where the map is metric; the table of its agreement is written."""
-    folders, usable = r.read("sfm", "models").set_index("model_id")["folder"], checked.frames.has_ground_truth
-    samples = depth.sample_frames(
-        frames, images, usable, checked.placed, lambda model_id: r.folder("sfm") / folders[model_id], r.image_path
-    )
+
+    def folder(model_id: str) -> Path:  # read only where frames have depth
+        return r.folder("sfm") / r.read("sfm", "models").set_index("model_id")["folder"][model_id]
+
+    usable = checked.frames.has_ground_truth
+    samples = depth.sample_frames(frames, images, usable, checked.placed, folder, r.image_path)
     agreement = depth.agreement_table(samples, r.seed)
     r.write("depth_agreement", agreement)
     if not checked.placed[0].component.scale.is_known:

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from groundwalk.fusion.evaluation.fuse import Fused, pose_errors
 from groundwalk.fusion.methods import METHODS
@@ -132,7 +133,8 @@ def record(stream: Stream, fused: list[Fused], gates: Gates, frames: Mapping[str
             names[key] = _path(walk.session_id, f"{walk.split}_{stretch + 1}" if stretch else walk.split)
             starts[key] = counted[walk.scene]
             counted[walk.scene] += len(walk)
-        number, since = starts[key] + np.arange(len(walk)), walk.t_ns - walk.t_ns[0]
+        number: NDArray[Any] = starts[key] + np.arange(len(walk))
+        since = walk.t_ns - walk.t_ns[0]
         times = [
             rr.TimeColumn(FRAME_TIMELINE, sequence=number),
             rr.TimeColumn(TIMELINE, duration=since.astype("timedelta64[ns]")),

@@ -28,7 +28,8 @@ _METER_PX = (32, 24)  # size of the image for auto exposure
 _METER_STEP_S = 0.5
 _CAMERA_HZ = 60
 _MOTION_S = 0.01
-_PLANES = [[0, 0, -1, -0.001], [0, 0, -1, 0]]  # of ARKit's projection: near at a millimetre, far at infinity
+# Of ARKit's projection: near at a millimetre, far at infinity.
+_PLANES = [[0.0, 0.0, -1.0, -0.001], [0.0, 0.0, -1.0, 0.0]]
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,7 @@ def scale_by_rulers(vio: MapScale, rulers: Sequence[RulerMeasurement], max_size_
 
 
 def check_rulers(
-    components: list[Component], rulers: list[RulerMeasurement], max_size_error: float
+    components: list[Component], rulers: Sequence[RulerMeasurement], max_size_error: float
 ) -> list[RulerCheck]:
     """Check each ruler against the scale of its model, model by model; undecided in one without scale or vertical, or
     in none."""

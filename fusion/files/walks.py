@@ -181,19 +181,22 @@ def _walks(
     scene: str, ordered: pd.DataFrame, poses: tuple[Array, Array, Array], quality: Texts, covariance: Array | None
 ) -> list[Walk]:
     """The walks of frames in order; `poses` are odometry's, the predictions' and the true ones (N, 4, 4)."""
-    gravity, (vio_T, _, true_T) = _gravity(ordered), poses
-    states_gravity = set(_GRAVITY) <= set(ordered.columns)
+    gravity, states_gravity = _gravity(ordered), set(_GRAVITY) <= set(ordered.columns)
+    frame_ids, t_ns = ordered["frame_id"].to_numpy(object), ordered["t_ns"].to_numpy(np.int64)
     # A new walk begins where the session or the split changes in time.
     key = ordered["session_id"].astype(str) + "/" + ordered["split"]
     number = (key != key.shift()).cumsum().to_numpy()
     walks = []
-    columns = ordered["frame_id"].to_numpy(object), ordered["t_ns"].to_numpy(np.int64), gravity, *poses, quality
     for rows in (number == n for n in np.unique(number)):
-        first = ordered.iloc[int(np.argmax(rows))]
-        has_vertical = not states_gravity or bool(np.isfinite(gravity[rows]).any())
-        is_shared = has_vertical and shares_vertical(true_T[rows], vio_T[rows])
-        of_walk, uncertain = (values[rows] for values in columns), None if covariance is None else covariance[rows]
-        walks.append(Walk(scene, str(first["session_id"]), str(first["split"]), *of_walk, uncertain, is_shared))
+        session_id, split = (str(ordered.iloc[int(np.argmax(rows))][name]) for name in ("session_id", "split"))
+        ids, times, down, states = frame_ids[rows], t_ns[rows], gravity[rows], quality[rows]
+        vio_T, apr_T, true_T = (of_all[rows] for of_all in poses)
+        uncertain = None if covariance is None else covariance[rows]
+        has_vertical = not states_gravity or bool(np.isfinite(down).any())
+        is_shared = has_vertical and shares_vertical(true_T, vio_T)
+        walks.append(
+            Walk(scene, session_id, split, ids, times, down, vio_T, apr_T, true_T, states, uncertain, is_shared)
+        )
     return walks
 
 
