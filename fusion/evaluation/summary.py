@@ -79,7 +79,7 @@ def intervals(errors: pd.DataFrame) -> pd.DataFrame:
     for key, frames, prefix, _ in _subsets_of_runs(errors):
         sessions = frames["session_id"].to_numpy(object)
         count = len(set(sessions))
-        of_all = {"sessions": count, "draws": comb(2 * count - 1, count)}
         for figure, value, low, high in figures_by_session(sessions, *score_columns(frames, prefix)):
-            rows.append(key | {"figure": figure, "value": value, "low": low, "high": high} | of_all)
+            drawn = {"sessions": count, "draws": comb(2 * count - 1, count)}
+            rows.append(key | {"figure": figure, "value": value, "low": low, "high": high} | drawn)
     return pd.DataFrame(rows)
