@@ -1,6 +1,6 @@
 """Scale and vertical of each SfM model, where each lies in the map, and all checks before ground truth is given out."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -8,16 +8,14 @@ import pandas as pd
 
 from groundwalk.alignment.checks.definitions import DEFINITIONS
 from groundwalk.alignment.checks.models import check_links, check_registration, check_standard_errors, missing_scale
-from groundwalk.alignment.checks.results import (
-    CheckResult,
-    Subject,
-    exclusion_reasons,
-    main_failure,
-    undecided_reasons,
-    with_status,
+from groundwalk.alignment.checks.results import CheckResult, Subject, exclusion_reasons, main_failure, undecided_reasons
+from groundwalk.alignment.checks.sessions import (
+    check_focal_length,
+    check_sessions,
+    check_window,
+    component_windows,
+    max_residuals,
 )
-from groundwalk.alignment.checks.sessions import check_focal_length, check_sessions
-from groundwalk.alignment.checks.windows import check_window, component_windows, max_residuals
 from groundwalk.alignment.components import NOT_GIVEN, Component, GivenFrame, PlacedComponent
 from groundwalk.alignment.map_frame import common_scale, common_vertical
 from groundwalk.alignment.reference.placement import check_session_references, fit_component, limits_of
@@ -40,6 +38,7 @@ from groundwalk.store.hints import setting_of
 _CONFIRMED_M, _CONFIRMED_RAD = 0.25, float(np.radians(2.0))
 # Where more of the frames than this contradict a reference, the others may agree with it by chance.
 _MAX_CONTRADICTING = 0.25
+Models = list[tuple[str, list[Segment]]]  # by their ids, the largest first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,12 +83,9 @@ class CheckedMap:
                 segments = [replace(s, rows=row_of[s.rows]) for s in segments]
                 components[component.index] = replace(component, segments=segments)
         placed = [p for p in self.placed if p.component.index in components]
-        return replace(
-            self,
-            components=list(components.values()),
-            placed=[replace(p, component=components[p.component.index]) for p in placed],
-            frames=FrameVerdicts(**{name: values[mask] for name, values in vars(self.frames).items()}),
-        )
+        placed = [replace(p, component=components[p.component.index]) for p in placed]
+        frames = FrameVerdicts(**{name: values[mask] for name, values in vars(self.frames).items()})
+        return replace(self, components=list(components.values()), placed=placed, frames=frames)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +103,7 @@ class AlignInputs:
     reference: Reference | None = None
     gravity_tested: frozenset[str] = frozenset()
     given: GivenFrame = NOT_GIVEN
-    numbers: Mapping[str, int] = field(default_factory=dict)
+    numbers: dict[str, int] = field(default_factory=dict)
 
 
 def check_models(inputs: AlignInputs, settings: AlignSettings) -> CheckedMap:
@@ -118,12 +114,8 @@ def check_models(inputs: AlignInputs, settings: AlignSettings) -> CheckedMap:
     """
     registered = inputs.sfm.registered
     if not registered.any():
-        raise UserError(
-            "nothing to align: SfM registered no frame",
-            where="sfm.images",
-            found=f"0 of {len(inputs.frames)} frames registered",
-            do="look at the sfm recording and its pairs table",
-        )
+        found, do = f"0 of {len(inputs.frames)} frames registered", "look at the sfm recording and its pairs table"
+        raise UserError("nothing to align: SfM registered no frame", where="sfm.images", found=found, do=do)
     names, segments = cut_segments(inputs.frames, inputs.sfm.images, inputs.jumps, inputs.recordings, inputs.numbers)
     models = [(name, [s for s in segments if s.component == index]) for index, name in enumerate(names)]
     checks = check_registration(inputs.frames, registered, inputs.recordings, settings.min_registered_fraction)
@@ -133,7 +125,7 @@ def check_models(inputs: AlignInputs, settings: AlignSettings) -> CheckedMap:
 
 
 def _check_by_vio(
-    inputs: AlignInputs, models: Sequence[tuple[str, list[Segment]]], checks: list[CheckResult], settings: AlignSettings
+    inputs: AlignInputs, models: Models, checks: list[CheckResult], settings: AlignSettings
 ) -> CheckedMap:
     frames, sfm = inputs.frames, inputs.sfm
     covariance = covariances(sfm.images["covariance"])
@@ -154,13 +146,8 @@ def _check_by_vio(
     in_use = [c for c in components if any(used[s.rows].any() for s in c.segments)]
     placed, unlinked = place_components(in_use, used, settings.vio_link_m)
     checks += check_links(placed, unlinked, settings.vio_link_m)
-    return CheckedMap(
-        components=components,
-        placed=placed,
-        checks=checks,
-        frames=_verdicts(sfm, checks, components, problem, (residual_m, residual_rad)),
-        windows=windows,
-    )
+    verdicts = _verdicts(sfm, checks, components, problem, (residual_m, residual_rad))
+    return CheckedMap(components=components, placed=placed, checks=checks, frames=verdicts, windows=windows)
 
 
 def _component(
@@ -194,11 +181,7 @@ def _component(
 
 
 def _check_by_reference(
-    inputs: AlignInputs,
-    models: Sequence[tuple[str, list[Segment]]],
-    reference: Reference,
-    checks: list[CheckResult],
-    settings: AlignSettings,
+    inputs: AlignInputs, models: Models, reference: Reference, checks: list[CheckResult], settings: AlignSettings
 ) -> CheckedMap:
     """There are no windows: residuals are those against the reference. A ruler never sets the scale: lengths are the
     reference's."""
@@ -238,13 +221,9 @@ def _check_by_reference(
         compared = component.registered_rows[np.isfinite(residual_m[component.registered_rows])]
         if refused[compared].mean() > _MAX_CONTRADICTING:
             problem[compared] = f"{refused[compared].sum()} of {len(compared)} frames contradict the reference"
-    return CheckedMap(
-        components=components,
-        placed=placed,
-        checks=checks,
-        frames=_verdicts(inputs.sfm, checks, components, problem, (residual_m, residual_rad)),
-        reference_limit=(limits.position(reference.extent), limits.rotation),
-    )
+    verdicts = _verdicts(inputs.sfm, checks, components, problem, (residual_m, residual_rad))
+    limit = (limits.position(reference.extent), limits.rotation)
+    return CheckedMap(components=components, placed=placed, checks=checks, frames=verdicts, reference_limit=limit)
 
 
 def _verdicts(
@@ -286,7 +265,7 @@ def refusal(checked: CheckedMap, frames: pd.DataFrame, settings: AlignSettings) 
     fraction, main = passed.sum() / registered.sum(), main_failure(checked.checks)
     if main is None or (fraction >= settings.min_consistent_fraction and passed.any()):
         return None
-    failed = len(with_status(checked.checks, Status.FAILED))
+    failed = sum(check.status is Status.FAILED for check in checked.checks)
     return UserError(
         f"the SfM model fails its consistency checks: {main.cause}",
         where=_place_of(main, checked.checks, frames),
@@ -300,7 +279,7 @@ def refusal(checked: CheckedMap, frames: pd.DataFrame, settings: AlignSettings) 
 def _place_of(check: CheckResult, checks: Sequence[CheckResult], frames: pd.DataFrame) -> str:
     """Where a check failed: its session or model, or the frames of the worst window."""
     if check.subject.t_ns is not None:
-        failed = [c for c in with_status(checks, Status.FAILED) if c.name is check.name]
+        failed = [c for c in checks if c.status is Status.FAILED and c.name is check.name]
         worst = max(failed, key=lambda c: (c.value or 0.0) / c.limit).subject
         assert worst.t_ns is not None  # as all of that name
         of_session = frames[frames["session_id"] == worst.session_id].set_index("t_ns")["frame_id"]

@@ -136,11 +136,8 @@ def check_truth(
     gt = read_table(root.run(profile, scene, "align") / "ground_truth.parquet", schema("align", "ground_truth"))
     figures = load_manifest(root.run(profile, scene, "align"))["figures"]
     if figures["scale_sd"] is None:
-        raise UserError(
-            "the map has no metric scale to compare with the truth",
-            found="scale_source none in align's manifest",
-            do="simulate longer walks",
-        )
+        found, do = "scale_source none in align's manifest", "simulate longer walks"
+        raise UserError("the map has no metric scale to compare with the truth", found=found, do=do)
     try:
         targets, _ = truth_targets(gt, true_poses_of(gt, scene, profile, root), figures)
     except GeometryError as error:

@@ -35,6 +35,7 @@ _MIN_TRACK = 3
 _MAX_SCALE_ERROR, _MAX_SPREAD = 0.05, 0.05
 # Fewer samples or frames decide nothing.
 _MIN_SAMPLES, _MIN_FRAMES = 100, 3
+_PUT_BACK = "put it back, or import the scene again"
 _COLUMNS = ["session_id", "component", "frame", "map_m", "sensor_m", "confidence"]
 
 
@@ -42,12 +43,8 @@ def read_depth(path: Path, confidence: Path | None, sha256: str) -> tuple[Array,
     """A depth image in metres (H, W), 0 where there is none, and its confidence 0 to 2 (H, W), -1 where unknown.
     UserError where it isn't the file that import saw, of which `sha256` is the hash."""
     if not path.is_file() or sha256_of(path) != sha256:
-        raise UserError(
-            "a depth image isn't as import saw it",
-            where=path,
-            found="another sha256 than in import.frames" if path.is_file() else "no such file",
-            do="put it back, or import the scene again",
-        )
+        found = "another sha256 than in import.frames" if path.is_file() else "no such file"
+        raise UserError("a depth image isn't as import saw it", where=path, found=found, do=_PUT_BACK)
     millimetres = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if millimetres is None:
         raise UserError("a depth image can't be read", where=path, do="import the scene again")
@@ -56,12 +53,9 @@ def read_depth(path: Path, confidence: Path | None, sha256: str) -> tuple[Array,
         return metres, np.full(metres.shape, -1)
     levels = cv2.imread(str(confidence), cv2.IMREAD_UNCHANGED)
     if levels is None or levels.shape != metres.shape:
-        raise UserError(
-            "the confidence of a depth image isn't as import saw it",
-            where=confidence,
-            found="no image that can be read" if levels is None else f"{levels.shape}, of a depth image {metres.shape}",
-            do="put it back, or import the scene again",
-        )
+        found = "no image that can be read" if levels is None else f"{levels.shape}, of a depth image {metres.shape}"
+        what = "the confidence of a depth image isn't as import saw it"
+        raise UserError(what, where=confidence, found=found, do=_PUT_BACK)
     level = np.asarray(levels, dtype=np.int64)
     return metres, np.where(level > HIGH_CONFIDENCE, (level + 1) // 127, level).clip(0, HIGH_CONFIDENCE)
 

@@ -125,10 +125,8 @@ def _yaw(t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: Array) -> Iterator[Drift
     map_R_vio = map_T_cam[:, :3, :3] @ np.swapaxes(vio_T_cam[:, :3, :3], 1, 2)
     yaw_deg = np.degrees(np.unwrap(heading(map_R_vio)))
     minutes, travelled = (t_ns - t_ns[0]) / 60e9, path_length(map_T_cam[:, :3, 3])
-    for along, shortest, unit in (
-        (minutes, _MIN_YAW_S / 60, "deg/min"),
-        (travelled / 100, _MIN_YAW_M / 100, "deg/100m"),
-    ):
+    spans = (minutes, _MIN_YAW_S / 60, "deg/min"), (travelled / 100, _MIN_YAW_M / 100, "deg/100m")
+    for along, shortest, unit in spans:
         if along[-1] >= shortest:
             rate = np.abs(np.polyfit(along, yaw_deg, 1)[:1])
             yield DriftSamples(DriftDefinition.YAW_RATE, None, DriftInterval.PATH, unit, rate)

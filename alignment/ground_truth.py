@@ -57,17 +57,11 @@ def build(frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap, refer
     placed, verdicts = checked.placed, checked.frames
     map_T_cam = poses_in_map(images, placed)
     ground_truth, grades = ground_truth_table(frames, images, map_T_cam, placed, verdicts)
-    fits = [
-        fit_session(
-            segment,
-            map_T_cam[segment.rows],
-            verdicts.has_ground_truth[segment.rows],
-            is_metric=each.component.scale.is_known,
-            is_upright=placed[0].component.vertical.source.is_known,
-        )
-        for each in placed
-        for segment in each.component.segments
-    ]
+    fits, is_upright = list[SessionFit](), placed[0].component.vertical.source.is_known
+    for component in (each.component for each in placed):
+        for s in component.segments:
+            of_map, usable = map_T_cam[s.rows], verdicts.has_ground_truth[s.rows]
+            fits.append(fit_session(s, of_map, usable, is_metric=component.scale.is_known, is_upright=is_upright))
     # By session, for whoever reads the tables; models of one session one after the other.
     fits.sort(key=lambda fit: (fit.segment.session_id, fit.segment.index, fit.segment.component))
     drift: dict[str, list[DriftSamples]] = {}
@@ -106,11 +100,7 @@ def camera_sd(frames: pd.DataFrame) -> float:
 
 
 def ground_truth_table(
-    frames: pd.DataFrame,
-    images: pd.DataFrame,
-    map_T_cam: Array,
-    placed: Sequence[PlacedComponent],
-    verdicts: FrameVerdicts,
+    frames: pd.DataFrame, images: pd.DataFrame, map_T_cam: Array, placed: list[PlacedComponent], verdicts: FrameVerdicts
 ) -> tuple[pd.DataFrame, list[Grade]]:
     """The align.ground_truth table of import's frames, and the classes of those that have ground truth; `images` are
     SfM's in the same order, `map_T_cam` (N, 4, 4) their poses."""

@@ -47,19 +47,13 @@ def in_map_before(checked: CheckedMap, frames: pd.DataFrame, images: pd.DataFram
         if is_main:
             scale_sd, tilt_deg = figures["scale_sd"], figures["vertical_sd_deg"]
             sds = (np.nan if scale_sd is None else scale_sd, np.radians(np.nan if tilt_deg is None else tilt_deg))
-        component = replace(
-            component,
-            scale=replace(component.scale, log=float(np.log(map_S_sfm.scale)), sd=sds[0]),
-            vertical=replace(component.vertical, up_sfm=map_S_sfm.rotation[1], sd=sds[1]),
-        )
+        of_scale = replace(component.scale, log=float(np.log(map_S_sfm.scale)), sd=sds[0])
+        vertical = replace(component.vertical, up_sfm=map_S_sfm.rotation[1], sd=sds[1])
+        component = replace(component, scale=of_scale, vertical=vertical)
         placed.append(replace(each, component=component, map_S_sfm=map_S_sfm))
     of_index = {each.component.index: each.component for each in placed}
-    return replace(
-        checked,
-        components=[of_index.get(component.index, component) for component in checked.components],
-        placed=placed,
-        frames=replace(checked.frames, exclusion=exclusion),
-    )
+    components = [of_index.get(component.index, component) for component in checked.components]
+    return replace(checked, components=components, placed=placed, frames=replace(checked.frames, exclusion=exclusion))
 
 
 def refusal_of_added(

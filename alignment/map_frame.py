@@ -7,6 +7,7 @@ frames of it don't make them smaller.
 
 from collections.abc import Collection
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -88,9 +89,5 @@ def _recording_vertical(ups: Array) -> RecordingVertical:
 
 
 def _robust_direction(directions: Array, floor: float) -> tuple[Array, Array]:
-    return fit_robust(
-        lambda w: mean_direction(directions, w),
-        lambda mean: direction_angles(directions, mean),
-        len(directions),
-        floor=floor,
-    )
+    fit, residuals = partial(mean_direction, directions), partial(direction_angles, directions)
+    return fit_robust(fit, residuals, len(directions), floor=floor)

@@ -18,6 +18,7 @@ from groundwalk.alignment.segments import Segment, SegmentWindow
 from groundwalk.consistency.windows import POSE_SD, fit_rigid
 from groundwalk.geometry.poses import Array, transform
 from groundwalk.store.colours import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
+from groundwalk.store.registry import Colour
 
 _MAX_SESSIONS = 8
 _INCHES = 3.2
@@ -139,6 +140,6 @@ def _finish_curve(axis: Axes, title: str, along: str) -> None:
     axis.tick_params(labelsize=7)
 
 
-def _rgb(colour: tuple[int, int, int]) -> tuple[float, float, float]:
+def _rgb(colour: Colour) -> tuple[float, float, float]:
     r, g, b = (value / 255 for value in colour)
     return r, g, b

@@ -57,9 +57,8 @@ def grade_frames(frames: pd.DataFrame, images: pd.DataFrame, covariance: Array, 
     sd_m, sd_rad = largest_sd(covariance)
     observations = images["observations"].to_numpy(float, na_value=0.0)
     # Pixels mean different angles at different image sizes.
-    reprojection_deg = np.degrees(
-        np.arctan2(images["reprojection_px"].to_numpy(float, na_value=np.nan), frames["fx"].to_numpy(float))
-    )
+    reprojection_px = images["reprojection_px"].to_numpy(float, na_value=np.nan)
+    reprojection_deg = np.degrees(np.arctan2(reprojection_px, frames["fx"].to_numpy(float)))
     evidence = np.column_stack([sd_m, np.degrees(sd_rad), observations, reprojection_deg])
     return [
         Grade(QualityClass.C, reason) if reason else grade(FrameEvidence(*row))
@@ -90,6 +89,4 @@ def count_grades(grades: Sequence[Grade]) -> list[str]:
     for one in sorted(grades):
         if one.limited_by:
             groups.setdefault((one.quality, one.limited_by), []).append(one)
-    return [
-        f"{len(group)} {group[len(group) // 2].reason.removeprefix('class ')}" for _, group in sorted(groups.items())
-    ]
+    return [f"{len(same)} {same[len(same) // 2].reason.removeprefix('class ')}" for _, same in sorted(groups.items())]

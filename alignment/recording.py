@@ -66,9 +66,7 @@ def log_frames(rec: rr.RecordingStream, truth: pd.DataFrame, map_T_cam: Array, f
     excluded = (quality == QualityClass.NONE) & np.isfinite(map_T_cam[:, 0, 0])
     classes = {f"ground_truth/cameras/quality_{name}": (quality == name, c) for name, c in _QUALITY_COLOURS.items()}
     for path, (mask, colour) in (classes | {"excluded/cameras": (excluded, REJECTED)}).items():
-        strips = [
-            strip for row in np.flatnonzero(mask) for strip in _pyramid(map_T_cam[row], frames.iloc[row], camera_m)
-        ]
+        strips = [strip for i in np.flatnonzero(mask) for strip in _pyramid(map_T_cam[i], frames.iloc[i], camera_m)]
         rec.log(f"map/{path}", rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(0.8)), static=True)
     certain = truth[truth["covariance"].notna()]
     if not len(certain):

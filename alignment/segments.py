@@ -1,6 +1,6 @@
 """Segments of sessions: SfM and VIO poses of the same frames, cut where VIO jumped."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -91,11 +91,7 @@ def sessions_of(segments: Sequence[Segment]) -> list[str]:
 
 
 def cut_segments(
-    frames: pd.DataFrame,
-    images: pd.DataFrame,
-    jumps: pd.DataFrame,
-    recordings: dict[str, str],
-    numbers: Mapping[str, int],
+    frames: pd.DataFrame, images: pd.DataFrame, jumps: pd.DataFrame, recordings: dict[str, str], numbers: dict[str, int]
 ) -> tuple[list[str], list[Segment]]:
     """SfM's models that frames are registered in, those with `numbers` in their order, then the largest first, and all
     segments, by session and time; cut at VIO jumps, and each of one model.
@@ -111,8 +107,9 @@ def cut_segments(
     up_cam = -frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
     t_ns, session = frames["t_ns"].to_numpy(np.int64), frames["session_id"].to_numpy(str)
     segments, travelled_m = [], np.zeros(len(frames))
+    every = {"t_ns": t_ns, "sfm_T_cam": sfm_T_cam, "vio_T_cam": vio_T_cam, "up_cam": up_cam, "travelled_m": travelled_m}
     for session_id in sorted(set(session)):
-        rows = np.flatnonzero(session == session_id)
+        rows, recording = np.flatnonzero(session == session_id), recordings.get(session_id, session_id)
         rows = rows[np.argsort(t_ns[rows], kind="stable")]
         placed = pd.DataFrame(vio_T_cam[rows, :3, 3]).ffill().bfill().to_numpy()
         travelled_m[rows] = 0.0 if np.isnan(placed).any() else path_length(placed)
@@ -122,25 +119,14 @@ def cut_segments(
         for index, between in enumerate(between_jumps):
             for number in np.unique(component[between]):
                 of_model = between[component[between] == number]
-                segments.append(
-                    Segment(
-                        session_id=session_id,
-                        recording=recordings.get(session_id, session_id),
-                        index=index,
-                        component=int(number),
-                        rows=of_model,
-                        t_ns=t_ns[of_model],
-                        sfm_T_cam=sfm_T_cam[of_model],
-                        vio_T_cam=vio_T_cam[of_model],
-                        up_cam=up_cam[of_model],
-                        travelled_m=travelled_m[of_model],
-                    )
-                )
+                of_rows = {name: values[of_model] for name, values in every.items()}
+                whose = {"session_id": session_id, "recording": recording}
+                segments.append(Segment(**whose, index=index, component=int(number), rows=of_model, **of_rows))
     return names, segments
 
 
 def _frame_components(
-    frames: pd.DataFrame, images: pd.DataFrame, numbers: Mapping[str, int]
+    frames: pd.DataFrame, images: pd.DataFrame, numbers: dict[str, int]
 ) -> tuple[list[str], np.ndarray]:
     """The models that frames are registered in, ordered as by `cut_segments`, and each frame's (N,) index of its model.
 

@@ -117,7 +117,7 @@ def _session_row(fit: SessionFit, placed: PlacedComponent) -> dict[str, object]:
         "up_error_deg": up_error,
         **_statistics("position", "m", fit.rigid.position_m),
         **_statistics("rotation", "deg", fit.rigid.rotation_deg),
-        "sim3_position_rms_m": _rms(fit.sim3.position_m),
+        "sim3_position_rms_m": rms(fit.sim3.position_m),
         "sim3_rotation_median_deg": _median(fit.sim3.rotation_deg),
     }
 
@@ -146,14 +146,12 @@ def residuals_table(
 
 
 def _statistics(name: str, unit: str, values: Array) -> dict[str, float | None]:
-    return {
-        f"{name}_rms_{unit}": _rms(values),
-        f"{name}_median_{unit}": _median(values),
-        f"{name}_max_{unit}": float(values.max()) if len(values) else None,
-    }
+    largest = float(values.max()) if len(values) else None
+    return {f"{name}_rms_{unit}": rms(values), f"{name}_median_{unit}": _median(values), f"{name}_max_{unit}": largest}
 
 
-def _rms(values: Array) -> float | None:
+def rms(values: Array) -> float | None:
+    """Root mean square; None of nothing."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else None
 
 

@@ -188,11 +188,8 @@ def rulers_of(tables: Any) -> list[Ruler]:
 def _ruler(table: dict[str, Any], where: str) -> Ruler:
     kind = table.get("kind")
     if kind not in _KINDS:
-        raise UserError(
-            "a ruler needs a kind" if kind is None else f"unknown kind of ruler {kind!r}",
-            where=where,
-            expected=f"kind = one of {', '.join(_KINDS)}",
-        )
+        what = "a ruler needs a kind" if kind is None else f"unknown kind of ruler {kind!r}"
+        raise UserError(what, where=where, expected=f"kind = one of {', '.join(_KINDS)}")
     return validated(_KINDS[kind], {**table, "name": table.get("name") or kind}, where)
 
 

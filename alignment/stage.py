@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -23,11 +24,10 @@ from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.rulers import scale_check
 from groundwalk.alignment.rulers.detection import find_rulers
 from groundwalk.alignment.rulers.measurement import measure_rulers
-from groundwalk.alignment.sessions import SessionFit
+from groundwalk.alignment.sessions import SessionFit, rms
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
 from groundwalk.consistency.decisions import Status
-from groundwalk.geometry.poses import Array
 from groundwalk.scoring.bootstrap import finite
 from groundwalk.store import StageRun
 from groundwalk.store.choices import QualityClass, ScaleSource, UpSource, VerticalSource
@@ -36,10 +36,11 @@ from groundwalk.store.georeference import FILE, Georeference
 from groundwalk.store.tables import dataset_frames, with_cameras
 
 CHECKS_PLOT, CONTROL_PLOT = "checks.png", "control.png"
+AlignRun = StageRun[AlignSettings]
 _TABLES = ("ground_truth", "sessions", "drift", "checks", "residuals", "reference_agreement")
 
 
-def run(r: StageRun[AlignSettings]) -> None:
+def run(r: AlignRun) -> None:
     inputs = _read(r)
     frames, images, reference = inputs.frames, inputs.sfm.images, inputs.reference
     before = r.before if r.holds else None
@@ -96,7 +97,7 @@ def run(r: StageRun[AlignSettings]) -> None:
         recording.log_session_images(rec, frames, r.image_path)
 
 
-def _read(r: StageRun[AlignSettings]) -> AlignInputs:
+def _read(r: AlignRun) -> AlignInputs:
     frames, sessions = r.read("import", "frames").reset_index(drop=True), r.read("import", "sessions")
     sfm = SfmTables.of(frames, r.read("sfm", "images"), r.read("sfm", "intrinsics"), r.read("sfm", "pairs"))
     # SfM's poses go with its cameras.
@@ -113,7 +114,7 @@ def _read(r: StageRun[AlignSettings]) -> AlignInputs:
     )
 
 
-def _check_models(r: StageRun[AlignSettings], inputs: AlignInputs, controls: Sequence[ControlPoints]) -> CheckedMap:
+def _check_models(r: AlignRun, inputs: AlignInputs, controls: Sequence[ControlPoints]) -> CheckedMap:
     """The checked map; where it lacks scale or vertical, with those that something else gives, one after the other."""
     checked = check_models(inputs, r.settings)
     if inputs.reference is not None and inputs.reference.gives_map:
@@ -144,18 +145,14 @@ def _check_models(r: StageRun[AlignSettings], inputs: AlignInputs, controls: Seq
     return checked
 
 
-def _check_by_depth(
-    r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap
-) -> list[CheckResult]:
+def _check_by_depth(r: AlignRun, frames: pd.DataFrame, images: pd.DataFrame, checked: CheckedMap) -> list[CheckResult]:
     """The checks by a depth sensor, where the map is metric; the table of its agreement is written."""
-    samples = depth.sample_frames(
-        frames,
-        images,
-        checked.frames.has_ground_truth,
-        checked.placed,
-        lambda model_id: r.folder("sfm") / r.read("sfm", "models").set_index("model_id")["folder"][model_id],
-        r.image_path,
-    )
+
+    def folder(model_id: str) -> Path:  # read only where frames have depth
+        return r.folder("sfm") / r.read("sfm", "models").set_index("model_id")["folder"][model_id]
+
+    usable = checked.frames.has_ground_truth
+    samples = depth.sample_frames(frames, images, usable, checked.placed, folder, r.image_path)
     agreement = depth.agreement_table(samples, r.seed)
     r.write("depth_agreement", agreement)
     if not checked.placed[0].component.scale.is_known:
@@ -173,7 +170,7 @@ def _control_checks(controls: Sequence[ControlPoints], inputs: AlignInputs, chec
 
 
 def _check_by_control(
-    r: StageRun[AlignSettings], controls: Sequence[ControlPoints], inputs: AlignInputs, checked: CheckedMap
+    r: AlignRun, controls: Sequence[ControlPoints], inputs: AlignInputs, checked: CheckedMap
 ) -> list[ControlCheck]:
     """The checks by surveyed points; their tables and picture are written."""
     checks = _control_checks(controls, inputs, checked)
@@ -187,19 +184,17 @@ def _check_by_control(
     return checks
 
 
-def _asks_for_gps(r: StageRun[AlignSettings]) -> bool:
+def _asks_for_gps(r: AlignRun) -> bool:
     return (r.folder("import") / "gps.parquet").is_file()
 
 
-def _by_gps(r: StageRun[AlignSettings], inputs: AlignInputs, checked: CheckedMap) -> Georeference:
+def _by_gps(r: AlignRun, inputs: AlignInputs, checked: CheckedMap) -> Georeference:
     map_T_cam = poses_in_map(inputs.sfm.images, checked.placed)
     map_T_cam[~checked.frames.has_ground_truth] = np.nan
     return georeference.of_gps(r.read("import", "gps"), inputs.frames, inputs.recordings, map_T_cam, checked.placed)
 
 
-def _place_on_earth(
-    r: StageRun[AlignSettings], inputs: AlignInputs, checked: CheckedMap, surveys: Sequence[ControlCheck]
-) -> None:
+def _place_on_earth(r: AlignRun, inputs: AlignInputs, checked: CheckedMap, surveys: Sequence[ControlCheck]) -> None:
     """A file that says where on earth the map is, where a survey or import's setting gps asks for it, or why it doesn't
     know."""
     asks = _asks_for_gps(r)
@@ -219,7 +214,7 @@ def _place_on_earth(
         r.say(found.describe())
 
 
-def _write_figures(r: StageRun[AlignSettings], frames: pd.DataFrame, result: AlignResult, registered: int) -> None:
+def _write_figures(r: AlignRun, frames: pd.DataFrame, result: AlignResult, registered: int) -> None:
     gt, main = result.ground_truth, result.main
     scale, vertical, status = main.component.scale, main.component.vertical, result.checks["status"]
     figures = {
@@ -296,16 +291,12 @@ def _describe_fit(fit: SessionFit) -> str:
     if not len(fit.compared):
         return f"{name}: too few frames with ground truth and VIO to align"
     text = (
-        f"{name}: VIO off by {_rms(fit.rigid.position_m):.3f} m RMS, rotation median "
+        f"{name}: VIO off by {rms(fit.rigid.position_m):.3f} m RMS, rotation median "
         f"{np.median(fit.rigid.rotation_deg):.2f}° over {fit.segment.path_m:.1f} m"
     )
     if not len(fit.sim3.position_m):
         return text
     return (
-        f"{text}; after a Sim3 fit {_rms(fit.sim3.position_m):.3f} m RMS, rotation median "
+        f"{text}; after a Sim3 fit {rms(fit.sim3.position_m):.3f} m RMS, rotation median "
         f"{np.median(fit.sim3.rotation_deg):.2f}°"
     )
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -77,8 +77,8 @@ def _true_walks(scene: str) -> list[tuple[str, NDArray[np.int64], Array]]:
 
 def _vio(t_ns: NDArray[np.int64], map_T_cam: Array, seed: int, model: VioModel) -> Array:
     """Odometry's poses, NaN where its tracking is lost."""
-    track = simulate_vio(t_ns, map_T_cam, seed, model)
-    return np.where((track.tracking == "normal")[:, None, None], track.vio_T_cam, np.nan)
+    vio_T_cam, is_limited = simulate_vio(t_ns, map_T_cam, seed, model)
+    return np.where(is_limited[:, None, None], np.nan, vio_T_cam)
 
 
 def _jumps(scene: str) -> list[Track]:

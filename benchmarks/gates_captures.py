@@ -12,13 +12,12 @@ import numpy as np
 from groundwalk.simulation import details, materials
 from groundwalk.simulation.atlas import TexturedMesh
 from groundwalk.simulation.canvas import Canvas, Material
-from groundwalk.simulation.capture import write_frames
 from groundwalk.simulation.mesh import build_mesh
 from groundwalk.simulation.place import Light, Route, SceneryPlan
 from groundwalk.simulation.render import Renderer
 from groundwalk.simulation.scenes import scenery
 from groundwalk.simulation.scenes.builder import Builder
-from groundwalk.simulation.session import SessionOutline, plan_session, take
+from groundwalk.simulation.session import SessionOutline, plan_session, take, write_frames
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.simulate import write_truth
 from groundwalk.store.files import write_json

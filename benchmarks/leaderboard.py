@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 
 from benchmarks.results import busy_machine, markdown_table
 from groundwalk.fusion.definition import FuseSettings
-from groundwalk.fusion.evaluation.evaluate import joined_walks
+from groundwalk.fusion.evaluation.evaluate import ERRORS, ahead_of, joined_walks
 from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, stacked
 from groundwalk.fusion.evaluation.summary import figures
-from groundwalk.fusion.evaluation.validation import ERRORS, ahead_of
 from groundwalk.fusion.files.walks import Files, Inputs
 from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.methods.localiser import MethodOptions

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from groundwalk.fusion.evaluation.fuse import Fused, pose_errors
 from groundwalk.fusion.methods import METHODS
@@ -16,7 +17,11 @@ from groundwalk.fusion.walk import known
 from groundwalk.geometry.poses import Array, quaternion_from_matrix
 from groundwalk.store import colours
 from groundwalk.store.recording import FRAME_TIMELINE, TIMELINE, UP_AXIS, log_images, log_path, tabbed
+from groundwalk.store.registry import Colour
 
+Stream = rr.RecordingStream
+Times = list[rr.TimeColumn]
+Gates = Mapping[str, Mapping[str, float]]  # the thresholds of each method's signals
 STATUS_COLOURS = {
     Status.RELIABLE: colours.APR,
     Status.OPTIMISED: colours.FUSED,
@@ -26,13 +31,13 @@ STATUS_COLOURS = {
     Status.LOST: colours.VIO,
     Status.NONE: colours.REJECTED,
 }
-_MARKER_PX = 6.0
+_MARKER = rr.Radius.ui_points(6.0)
 _SPARSE = 0.5  # share of frames with a value, below which a plot has points instead of a line
 _GATE_RANGE = 5.0  # how far a plot of a gated signal reaches, in gates
 _WITHIN_95 = 7.815  # squared standard deviations that hold 95 % of a Gaussian with three axes
 
 
-def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> rrb.Blueprint:
+def blueprint(fused: list[Fused], gates: Gates) -> rrb.Blueprint:
     """A tab a scene and model: the paths on the left; errors, status and decisions over time on the right. `gates` has
     the thresholds of each method's signals."""
     tabs = []
@@ -74,9 +79,8 @@ def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> r
         )
         name = f"{scene} · {model}"
         image = rrb.Spatial2DView(origin=f"{_path(scene)}/image", name="image")
-        tabs.append(
-            rrb.Horizontal(rrb.Vertical(paths, image, row_shares=[2, 1]), plots, column_shares=[3, 2], name=name)
-        )
+        places = rrb.Vertical(paths, image, row_shares=[2, 1])
+        tabs.append(rrb.Horizontal(places, plots, column_shares=[3, 2], name=name))
     return tabbed(tabs)
 
 
@@ -114,12 +118,7 @@ def _signal_view(at: str, method: str, signal: str, gate: float | None) -> rrb.T
     return rrb.TimeSeriesView(origin=f"{at}/signals/{method}/{signal}", name=signal, axis_y=axis)
 
 
-def record(
-    stream: rr.RecordingStream,
-    fused: list[Fused],
-    gates: Mapping[str, Mapping[str, float]],
-    frames: Mapping[str, pd.DataFrame],
-) -> None:
+def record(stream: Stream, fused: list[Fused], gates: Gates, frames: Mapping[str, pd.DataFrame]) -> None:
     """Log what each method said of each walk. `gates` has the thresholds of each method's signals; `frames`, of scenes
     with images, the rows of import.frames and the `file` of each."""
     starts: dict[tuple[str, str, str, int], int] = {}
@@ -134,9 +133,11 @@ def record(
             names[key] = _path(walk.session_id, f"{walk.split}_{stretch + 1}" if stretch else walk.split)
             starts[key] = counted[walk.scene]
             counted[walk.scene] += len(walk)
+        number: NDArray[Any] = starts[key] + np.arange(len(walk))
+        since = walk.t_ns - walk.t_ns[0]
         times = [
-            rr.TimeColumn(FRAME_TIMELINE, sequence=starts[key] + np.arange(len(walk))),
-            rr.TimeColumn(TIMELINE, duration=(walk.t_ns - walk.t_ns[0]).astype("timedelta64[ns]")),
+            rr.TimeColumn(FRAME_TIMELINE, sequence=number),
+            rr.TimeColumn(TIMELINE, duration=since.astype("timedelta64[ns]")),
         ]
         name, scene, at = names[key], _path(walk.scene), _path(walk.scene, f.run.model)
         if first:
@@ -144,8 +145,7 @@ def record(
             _log_walk(stream, f"{scene}/ground_truth", name, times, walk.map_T_cam, colours.GROUND_TRUTH)
             if walk.scene in frames:
                 seen = frames[walk.scene].set_index("frame_id").loc[list(walk.frame_id)]
-                at_frame = [(FRAME_TIMELINE, starts[key] + np.arange(len(walk))), (TIMELINE, walk.t_ns - walk.t_ns[0])]
-                log_images(stream, f"{scene}/image", seen, at_frame)
+                log_images(stream, f"{scene}/image", seen, [(FRAME_TIMELINE, number), (TIMELINE, since)])
         if not METHODS[method].fuses:
             _log_walk(stream, f"{at}/{method}", name, times, f.live_map_T_cam, _colour(f), 0.5)
         else:
@@ -160,7 +160,7 @@ def record(
         _log_series(stream, f"{at}/rotation_error_deg/{method}", times, rotation_deg, colour, method)
 
 
-def _colour(f: Fused) -> tuple[int, int, int]:
+def _colour(f: Fused) -> Colour:
     """A method's colour; what a localiser says alone has the localiser's."""
     method = METHODS[f.run.method]
     return method.colour if method.fuses else colours.localiser_colours([f.run.model])[f.run.model]
@@ -176,28 +176,19 @@ def _signals(fused: list[Fused]) -> dict[str, list[str]]:
 
 
 def _log_walk(
-    stream: rr.RecordingStream,
-    path: str,
-    name: str,
-    times: list[rr.TimeColumn],
-    map_T_cam: Array,
-    colour: tuple[int, int, int],
-    width_px: float = 1.5,
+    stream: Stream, path: str, name: str, times: Times, map_T_cam: Array, colour: Colour, width_px: float = 1.5
 ) -> None:
     """The whole path as a line, and a marker where the walk is now."""
     xyz = map_T_cam[:, :3, 3]
     log_path(stream, f"{path}/path{name}", xyz, colour, width_px)
-    stream.log(
-        f"{path}/now", rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(_MARKER_PX)), static=True
-    )
+    stream.log(f"{path}/now", rr.Points3D.from_fields(colors=colour, radii=_MARKER), static=True)
     there = known(map_T_cam)
     # A frame without a pose takes the marker away.
-    stream.send_columns(
-        f"{path}/now", indexes=times, columns=rr.Points3D.columns(positions=xyz[there]).partition(there.astype(int))
-    )
+    markers = rr.Points3D.columns(positions=xyz[there]).partition(there.astype(int))
+    stream.send_columns(f"{path}/now", indexes=times, columns=markers)
 
 
-def _log_residuals(stream: rr.RecordingStream, path: str, f: Fused, times: list[rr.TimeColumn]) -> None:
+def _log_residuals(stream: Stream, path: str, f: Fused, times: Times) -> None:
     """A line from the frame's answer to its prediction."""
     stream.log(path, rr.LineStrips3D.from_fields(colors=colours.NEUTRAL, radii=rr.Radius.ui_points(1.0)), static=True)
     there = known(f.live_map_T_cam) & known(f.walk.map_T_cam_predicted)
@@ -206,20 +197,16 @@ def _log_residuals(stream: rr.RecordingStream, path: str, f: Fused, times: list[
     stream.send_columns(path, indexes=times, columns=columns)
 
 
-def _log_covariance(stream: rr.RecordingStream, path: str, f: Fused, times: list[rr.TimeColumn]) -> None:
+def _log_covariance(stream: Stream, path: str, f: Fused, times: Times) -> None:
     """The ellipsoid that holds the position with 95 % by the method's covariance, for methods that have one."""
     there = known(f.live_map_T_cam) & known(f.covariance)
     if not there.any():
         return
     variance, axes = np.linalg.eigh(f.covariance[there, 3:, 3:])
     axes[..., 0] *= np.linalg.det(axes)[:, None]
-    stream.log(
-        path,
-        rr.Ellipsoids3D.from_fields(
-            colors=(*_colour(f), 90), fill_mode="majorwireframe", line_radii=rr.Radius.ui_points(0.7)
-        ),
-        static=True,
-    )
+    thin = rr.Radius.ui_points(0.7)
+    look = rr.Ellipsoids3D.from_fields(colors=(*_colour(f), 90), fill_mode="majorwireframe", line_radii=thin)
+    stream.log(path, look, static=True)
     columns = rr.Ellipsoids3D.columns(
         centers=f.live_map_T_cam[there, :3, 3],
         half_sizes=np.sqrt(_WITHIN_95 * np.maximum(variance, 0.0)),
@@ -228,17 +215,12 @@ def _log_covariance(stream: rr.RecordingStream, path: str, f: Fused, times: list
     stream.send_columns(path, indexes=times, columns=columns)
 
 
-def _log_decisions(
-    stream: rr.RecordingStream, at: str, f: Fused, times: list[rr.TimeColumn], gates: Mapping[str, float]
-) -> None:
+def _log_decisions(stream: Stream, at: str, f: Fused, times: Times, gates: Mapping[str, float]) -> None:
     """The status as a lane, and each signal with its gate."""
     method = f.run.method
     lane = f"{at}/status/{method}"
-    stream.log(
-        lane,
-        rr.StateConfiguration(values=[str(s) for s in STATUS_COLOURS], colors=list(STATUS_COLOURS.values())),
-        static=True,
-    )
+    states = rr.StateConfiguration(values=[str(s) for s in STATUS_COLOURS], colors=list(STATUS_COLOURS.values()))
+    stream.log(lane, states, static=True)
     stream.send_columns(lane, indexes=times, columns=rr.StateChange.columns(state=list(f.live_status)))
     for signal in _signals([f])[method]:
         path = f"{at}/signals/{method}/{signal}"
@@ -248,14 +230,7 @@ def _log_decisions(
             _log_series(stream, f"{path}/gate", times, np.full(len(values), gates[signal]), colours.REJECTED, "gate")
 
 
-def _log_series(
-    stream: rr.RecordingStream,
-    path: str,
-    times: list[rr.TimeColumn],
-    values: Array,
-    colour: tuple[int, int, int],
-    name: str,
-) -> None:
+def _log_series(stream: Stream, path: str, times: Times, values: Array, colour: Colour, name: str) -> None:
     # A line doesn't show values that stand alone.
     if np.isfinite(values).mean() < _SPARSE:
         stream.log(path, rr.SeriesPoints(colors=colour, names=name, marker_sizes=2.0), static=True)

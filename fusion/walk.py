@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from groundwalk.geometry.poses import Array
 
 Flags = NDArray[np.bool_]
+Texts = NDArray[np.object_]
 
 
 @dataclass(frozen=True)
@@ -25,13 +26,13 @@ class Walk:
     scene: str
     session_id: str
     split: str
-    frame_id: NDArray[np.object_]
+    frame_id: Texts
     t_ns: NDArray[np.int64]
     gravity: Array
     vio_T_cam: Array
     map_T_cam_predicted: Array
     map_T_cam: Array  # ground truth
-    quality: NDArray[np.object_] | None = None
+    quality: Texts | None = None
     predicted_covariance: Array | None = None
     shares_vertical: bool = True
 

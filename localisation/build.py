@@ -97,7 +97,7 @@ def compact_map(prepared: Prepared, points: Points, settings: MapSettings) -> Co
     )
 
 
-def covering_points(point_O: Ints, cell_O: Ints, quality_P: NDArray[np.float64], count: int) -> Ints:
+def covering_points(point_O: Ints, cell_O: Ints, quality_P: Array, count: int) -> Ints:
     """`count` points (rows, sorted) that cover the cells of all frames' images evenly; all where there are no more.
 
     `point_O` and `cell_O` say which points (sorted) were seen in which cells of which frames. A point's gain is the sum

@@ -82,10 +82,5 @@ def rays_of(views: Views, view: int, px_M2: Array) -> tuple[Array, Array]:
 
 def subset(views: Views, rows: NDArray[np.int64]) -> Views:
     """Some of the views."""
-    return Views(
-        views.map_T_cam[rows],
-        tuple(views.cameras[row] for row in rows.tolist()),
-        views.readout_s[rows],
-        views.angular[rows],
-        views.velocity[rows],
-    )
+    cameras = tuple(views.cameras[row] for row in rows.tolist())
+    return Views(views.map_T_cam[rows], cameras, views.readout_s[rows], views.angular[rows], views.velocity[rows])

@@ -19,7 +19,7 @@ from groundwalk.geometry.vlad import aggregate, k_means
 from groundwalk.localisation.calibration import UNCALIBRATED, Trial, calibrated
 from groundwalk.localisation.entries import HLocSettings
 from groundwalk.localisation.frames import with_lens
-from groundwalk.localisation.localisers import Size
+from groundwalk.localisation.localisers import Grey, Size
 from groundwalk.localisation.matching import unit
 from groundwalk.localisation.prepared import MIN_POINTS, Prepared, Track, untracked
 from groundwalk.localisation.results import QueryResult, of_another_size, refused, seen_by
@@ -88,13 +88,7 @@ class HLocLocaliser:
         }
 
     def localise(
-        self,
-        grey: NDArray[np.uint8],
-        camera: Camera,
-        gravity: Array | None = None,
-        prior: Array | None = None,
-        *,
-        seed: int = 0,
+        self, grey: Grey, camera: Camera, gravity: Array | None = None, prior: Array | None = None, *, seed: int = 0
     ) -> QueryResult:
         """The answer for a grey image (H, W) taken with `camera` as the phone logged it. Gravity and a prior
         aren't used."""
@@ -140,12 +134,8 @@ def absolute_pose(px: Array, xyz: Array, camera: Camera, seed: int) -> tuple[Arr
     pose."""
     coefficients = np.zeros(8)
     coefficients[: len(camera.distortion)] = camera.distortion
-    colmap = pycolmap.Camera(
-        model="FULL_OPENCV",
-        width=camera.width,
-        height=camera.height,
-        params=[camera.fx, camera.fy, camera.cx, camera.cy, *coefficients],
-    )
+    params = [camera.fx, camera.fy, camera.cx, camera.cy, *coefficients]
+    colmap = pycolmap.Camera(model="FULL_OPENCV", width=camera.width, height=camera.height, params=params)
     options = pycolmap.AbsolutePoseEstimationOptions()
     options.ransac.max_error = _MAX_PX * max(camera.width, camera.height) / 640 / 2
     options.ransac.random_seed = seed

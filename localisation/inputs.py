@@ -53,13 +53,8 @@ def read_inputs(run: Path) -> Inputs:
         rows = component_N == component
         with suppress(GeometryError):
             units[rows] = sim3_between(map_T_cam[rows], sfm_T_cam[rows]).scale
-    views = Views(
-        map_T_cam,
-        tuple(map(camera_of, placed.itertuples())),
-        images["readout_s"].to_numpy(float),
-        angular,
-        units[:, None] * velocity,
-    )
+    cameras, readout_s = tuple(map(camera_of, placed.itertuples())), images["readout_s"].to_numpy(float)
+    views = Views(map_T_cam, cameras, readout_s, angular, units[:, None] * velocity)
     gravity = frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
     return Inputs(frames, tuple(map(camera_of, with_found_focal(frames, run).itertuples())), views, gravity)
 
@@ -88,9 +83,5 @@ def with_found_focal(frames: pd.DataFrame, run: Path) -> pd.DataFrame:
 
 def training_of(inputs: Inputs, rows: NDArray[np.int64], features: Sequence[Features]) -> Training:
     """Some rows as training frames, with their features."""
-    return Training(
-        subset(inputs.views, rows),
-        tuple(inputs.logged[row] for row in rows.tolist()),
-        inputs.gravity[rows],
-        tuple(features),
-    )
+    logged = tuple(inputs.logged[row] for row in rows.tolist())
+    return Training(subset(inputs.views, rows), logged, inputs.gravity[rows], tuple(features))

@@ -9,16 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from groundwalk.geometry import Array
 from groundwalk.store.registry import Colour, Entry, Lazy, Registry, callable_faults, colour_faults
 from groundwalk.store.settings import Settings
 
 if TYPE_CHECKING:
     from groundwalk.features.sift import Features
     from groundwalk.geometry.cameras import Camera
-    from groundwalk.geometry.poses import Array
     from groundwalk.localisation.prepared import Prepared, Track
     from groundwalk.localisation.results import QueryResult
 
+Grey = NDArray[np.uint8]
 Size = tuple[int, int]
 
 
@@ -45,7 +46,7 @@ class FeatureKind:
 
     id: str
     ratio: float
-    extract: "Callable[[NDArray[np.uint8], int, int], Features]" = field(repr=False)
+    extract: "Callable[[Grey, int, int], Features]" = field(repr=False)
     match: "Callable[[Features, Features, Size, Size], NDArray[np.int64]]" = field(repr=False)
 
 
@@ -58,7 +59,7 @@ class Localiser(Protocol):
     """Answers queries from points of a map."""
 
     @property
-    def xyz(self) -> "Array":
+    def xyz(self) -> Array:
         """The points (P, 3) in the map."""
         ...
 
@@ -67,13 +68,7 @@ class Localiser(Protocol):
         ...
 
     def localise(
-        self,
-        grey: NDArray[np.uint8],
-        camera: "Camera",
-        gravity: "Array | None" = None,
-        prior: "Array | None" = None,
-        *,
-        seed: int = 0,
+        self, grey: Grey, camera: "Camera", gravity: Array | None = None, prior: Array | None = None, *, seed: int = 0
     ) -> "QueryResult":
         """The answer for a grey image (H, W). camera: as the phone logged it; gravity: unit vector (3,), down, in the
         camera; prior: about where the camera is, map_T_cam (4, 4). What a localiser has no use for it ignores."""

@@ -89,12 +89,8 @@ def _refuse_other_file(out: Path) -> None:
             rows = [json.loads(line) for line in out.read_text(encoding="utf-8").splitlines()]
             if all(isinstance(row, dict) and {"image", "refusal"} <= row.keys() for row in rows):
                 return
-    raise UserError(
-        "this is no file of earlier answers, which alone is replaced",
-        where=out,
-        found=kind or None,
-        do="name another file with --out, or leave it out to have the answers printed",
-    )
+    do = "name another file with --out, or leave it out to have the answers printed"
+    raise UserError("this is no file of earlier answers, which alone is replaced", where=out, found=kind or None, do=do)
 
 
 def _answer(ask: Callable[[Query], Row], path: Path, common: Row, *, among_others: bool) -> Row:

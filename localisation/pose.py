@@ -147,15 +147,10 @@ def refine(
     residual, _ = _linear(rotation, position, rest, seen, time_s, focal)
     to_map = np.zeros((6, 6))
     to_map[:3, :3] = to_map[3:, 3:] = rotation
-    return Fit(
-        make_pose(rotation, position),
-        to_map @ np.linalg.inv(hessian)[:6, :6] @ to_map.T,
-        np.linalg.norm(residual, axis=1),
-        np.sqrt(scale**2 + variance),
-        float(np.exp(rest[6])),
-        rest[:3],
-        rest[3:6],
-    )
+    covariance, focal_factor = to_map @ np.linalg.inv(hessian)[:6, :6] @ to_map.T, float(np.exp(rest[6]))
+    residual_px, expected_px = np.linalg.norm(residual, axis=1), np.sqrt(scale**2 + variance)
+    pose = make_pose(rotation, position)
+    return Fit(pose, covariance, residual_px, expected_px, focal_factor, rest[:3], rest[3:6])
 
 
 def _turn(vector: Array) -> Array:

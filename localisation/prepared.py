@@ -91,11 +91,9 @@ class Prepared:
     def lenses(self) -> tuple[Lens, ...]:
         """The lenses of the training frames: those with the same distortion and readout time, and about the same focal
         length."""
-        views = self.training.views
+        views, as_logged = self.training.views, self.training.logged
         lenses: list[Lens] = []
-        for camera, logged, readout_s in zip(
-            views.cameras, self.training.logged, views.readout_s.tolist(), strict=True
-        ):
+        for camera, logged, readout_s in zip(views.cameras, as_logged, views.readout_s.tolist(), strict=True):
             focal = (camera.fx + camera.fy) / 2 / max(camera.width, camera.height)
             for lens in lenses:
                 same = abs(np.log(focal / lens.focal)) < _SAME_LENS

@@ -12,6 +12,7 @@ from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.localisation.compact import CompactMap, bytes_by_section, point_covariances, read_map, write_map
 from groundwalk.localisation.frames import row_times, with_lens
+from groundwalk.localisation.localisers import Grey
 from groundwalk.localisation.pose import NO_VERTICAL, Fit, Observed, Priors, ransac, refine
 from groundwalk.localisation.results import QueryResult, of_another_size, refused, seen_by
 from groundwalk.store.choices import Refusal
@@ -56,13 +57,7 @@ class MapLocaliser:
         return bytes_by_section(self.map)
 
     def localise(
-        self,
-        grey: NDArray[np.uint8],
-        camera: Camera,
-        gravity: Array | None = None,
-        prior: Array | None = None,
-        *,
-        seed: int = 0,
+        self, grey: Grey, camera: Camera, gravity: Array | None = None, prior: Array | None = None, *, seed: int = 0
     ) -> QueryResult:
         """The answer for a grey image (H, W) taken with `camera`, as the phone logged it.
 

@@ -13,12 +13,12 @@ import pandas as pd
 
 from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
+from groundwalk.localisation.definition import LocaliseSettings
 from groundwalk.localisation.inputs import read_inputs, training_of, with_found_focal
 from groundwalk.localisation.localisers import LOCALISERS, FeatureKind, Localiser
 from groundwalk.localisation.prepared import MIN_POINTS, Prepared, prepare
 from groundwalk.localisation.record import blueprint, record
 from groundwalk.localisation.results import QueryResult
-from groundwalk.localisation.settings import LocaliseSettings
 from groundwalk.scoring.errors import position_error, rotation_error_deg, sure_enough
 from groundwalk.scoring.scores import score
 from groundwalk.store import StageRun, UserError
@@ -31,6 +31,7 @@ from groundwalk.store.registry import PluginError
 from groundwalk.store.schemas import schema
 from groundwalk.store.tables import camera_of, pose_frame, poses_of
 
+LocaliseRun = StageRun[LocaliseSettings]
 _MIN_FRAMES = 5
 _NO_LOCALISERS = setting_of("localise", "models = []")
 _WRONG_M, _WRONG_DEG = 1.0, 5.0
@@ -47,7 +48,7 @@ class LocaliserRun:
     cost_s: Array
 
 
-def run(r: StageRun[LocaliseSettings]) -> None:
+def run(r: LocaliseRun) -> None:
     r.warn_of_scale()
     queries = r.dataset_frames()
     queries = queries[queries["split"].isin(r.settings.splits)].sort_values(["session_id", "t_ns"])
@@ -76,7 +77,7 @@ def run(r: StageRun[LocaliseSettings]) -> None:
             record(stream, queries, truth, points, results, lambda image: r.image_path(str(image)))
 
 
-def prepare_training(r: StageRun[LocaliseSettings], kind: FeatureKind) -> Prepared:
+def prepare_training(r: LocaliseRun, kind: FeatureKind) -> Prepared:
     """The training frames with ground truth, their features, matches and points; UserError where they are too few."""
     inputs = read_inputs(r.data.run(r.profile, r.scene.name))
     rows = np.flatnonzero((inputs.frames["split"] == "train").to_numpy())
@@ -112,7 +113,7 @@ def prepare_training(r: StageRun[LocaliseSettings], kind: FeatureKind) -> Prepar
     return prepared
 
 
-def run_localiser(r: StageRun[LocaliseSettings], name: str, prepared: Prepared, queries: pd.DataFrame) -> LocaliserRun:
+def run_localiser(r: LocaliseRun, name: str, prepared: Prepared, queries: pd.DataFrame) -> LocaliserRun:
     """A localiser, built, and what it says of each query."""
     entry, settings = LOCALISERS[name], r.settings.localisers[name]
     path = None if entry.file is None else r.work / f"{name.lower()}{entry.file.suffix}"
@@ -147,9 +148,7 @@ def run_localiser(r: StageRun[LocaliseSettings], name: str, prepared: Prepared, 
     return LocaliserRun(localiser, model, results, cost_s)
 
 
-def ask_all(
-    r: StageRun[LocaliseSettings], name: str, localiser: Localiser, queries: pd.DataFrame
-) -> tuple[list[QueryResult], Array]:
+def ask_all(r: LocaliseRun, name: str, localiser: Localiser, queries: pd.DataFrame) -> tuple[list[QueryResult], Array]:
     """What a localiser says of each query, and what that cost (Q, 2), s: on the clock and of all cores."""
     gravity = queries[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
     results: list[QueryResult] = []
@@ -164,9 +163,7 @@ def ask_all(
     return results, np.array(costs).reshape(-1, 2)
 
 
-def report_accuracy(
-    r: StageRun[LocaliseSettings], name: str, queries: pd.DataFrame, results: Sequence[QueryResult]
-) -> None:
+def report_accuracy(r: LocaliseRun, name: str, queries: pd.DataFrame, results: Sequence[QueryResult]) -> None:
     """Keep, as figures, how many test frames were answered and how well; a refused frame is infinitely wrong."""
     truth = r.read("align", "ground_truth").set_index("frame_id").reindex(queries["frame_id"])
     true = poses_of(truth, "map_cam")
@@ -209,7 +206,7 @@ def errors_of(results: Sequence[QueryResult], truth: Array) -> tuple[Array, Arra
     return position, rotation
 
 
-def write_tables(r: StageRun[LocaliseSettings], queries: pd.DataFrame, runs: dict[str, LocaliserRun]) -> None:
+def write_tables(r: LocaliseRun, queries: pd.DataFrame, runs: dict[str, LocaliserRun]) -> None:
     """The stage's tables, of any number of localisers."""
     tables: dict[str, list[pd.DataFrame]] = {"predictions": [], "models": [], "storage": []}
     none = np.full((4, 4), np.nan)

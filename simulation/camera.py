@@ -147,11 +147,6 @@ def _motion_blur(
     total = np.zeros_like(rendering.image)
     for k in range(taps):
         offset = np.float32((k + 0.5) / taps - 0.5)
-        total += cv2.remap(
-            rendering.image,
-            column + offset * flow_x,
-            row + offset * flow_y,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
+        at_x, at_y = column + offset * flow_x, row + offset * flow_y
+        total += cv2.remap(rendering.image, at_x, at_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return total / np.float32(taps)

@@ -79,9 +79,8 @@ class Canvas:
         """Add `field` (H, W) times `colour`, in grey levels."""
         for channel in range(3):
             if colour[channel]:
-                self.image[..., channel] = cv2.add(
-                    self.image[..., channel], field * np.float32(colour[channel]), dtype=cv2.CV_8U
-                )
+                levels = field * np.float32(colour[channel])
+                self.image[..., channel] = cv2.add(self.image[..., channel], levels, dtype=cv2.CV_8U)
 
     def blend(self, amount: Field, colour: Bgr) -> None:
         """Mix in `colour` where `amount` (H, W; 0 to 1) says so."""

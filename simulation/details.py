@@ -56,10 +56,8 @@ def window(c: Canvas, x: float, y: float, w: float, h: float, frame: Bgr, same: 
     c.box(x + t, y + t, x + w - t, y + h - t, (dark * 1.2, dark * 1.05, dark))
     sky = rng.uniform(90, 170)
     slope = rng.uniform(0.2, 0.8)
-    c.polygon(
-        [(x + t, y + h - t), (x + w - t, y + h - t), (x + w - t, y + h * slope), (x + t, y + h * (1.1 - slope))],
-        (sky * 1.1, sky, sky * 0.9),
-    )
+    mirrored = [(x + t, y + h - t), (x + w - t, y + h - t), (x + w - t, y + h * slope), (x + t, y + h * (1.1 - slope))]
+    c.polygon(mirrored, (sky * 1.1, sky, sky * 0.9))
     curtain = vary((190, 200, 210), rng, 25)
     width_fraction = rng.uniform(0.05, 0.4)
     if rng.random() < 0.7:

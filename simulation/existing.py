@@ -57,10 +57,6 @@ def _simulator_marker(folder: Path) -> dict[str, Any] | None:
         found = f"{SIMULATED_MARKER} doesn't list its sessions"
         raise UserError("the marker of simulated captures is damaged", where=folder, found=found)
     if foreign := sorted({*file_names(folder)} - files):
-        raise UserError(
-            "the folder of simulated captures holds other files",
-            where=folder,
-            found=name_list(foreign, 3),
-            do="move them away",
-        )
+        found, do = name_list(foreign, 3), "move them away"
+        raise UserError("the folder of simulated captures holds other files", where=folder, found=found, do=do)
     return marker

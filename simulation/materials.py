@@ -34,9 +34,8 @@ def masonry(
     top, course = 0.0, 0
     while top < h:
         rise = course_m * (1 + irregular * rng.uniform(-0.45, 0.6)) / c.texel_m
-        lengths = length_m * (
-            1 + max(irregular, 0.06) * rng.uniform(-0.6, 0.9, math.ceil(w * c.texel_m / length_m * 2.6) + 4)
-        )
+        count = math.ceil(w * c.texel_m / length_m * 2.6) + 4
+        lengths = length_m * (1 + max(irregular, 0.06) * rng.uniform(-0.6, 0.9, count))
         edges = np.cumsum(lengths) - length_m * (1.5 + 0.5 * (course % 2))
         block = np.searchsorted(edges, x)
         base = palette[rng.integers(len(palette), size=len(edges) + 1)]

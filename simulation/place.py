@@ -57,14 +57,6 @@ class Crown:
 
 
 @dataclass(frozen=True)
-class Obstacle:
-    """An upright box nobody walks through: opposite corners."""
-
-    low: Vec
-    high: Vec
-
-
-@dataclass(frozen=True)
 class Light:
     """Where light comes from; strengths are in display brightness (1 = textures as painted).
 
@@ -79,7 +71,8 @@ class Light:
 
 @dataclass
 class Place:
-    """All that can be seen and bumped into. `low` and `high` bound where a camera may be.
+    """All that can be seen and bumped into. `low` and `high` bound where a camera may be; `obstacles` are upright boxes
+    that nobody walks through, by opposite corners.
 
     `texel` multiplies the texel size of every picture: below 1 for rooms, whose walls are seen from near.
     """
@@ -91,15 +84,14 @@ class Place:
     texel: float = 1.0
     quads: list[Quad] = field(default_factory=list)
     crowns: list[Crown] = field(default_factory=list)
-    obstacles: list[Obstacle] = field(default_factory=list)
+    obstacles: list[tuple[Vec, Vec]] = field(default_factory=list)
 
     def clearance_m(self, xyz_N3: Vec) -> Vec:
         """Distance (N,) of points to the nearest obstacle or bound; negative inside an obstacle or out of bounds."""
         gaps = [np.min(np.hstack([xyz_N3 - self.low, self.high - xyz_N3]), axis=1)]
-        for box in self.obstacles:
-            outside = np.maximum(np.maximum(box.low - xyz_N3, xyz_N3 - box.high), 0)
-            inside = np.min(np.hstack([xyz_N3 - box.low, box.high - xyz_N3]), axis=1)
-            away = np.linalg.norm(outside, axis=1)
+        for low, high in self.obstacles:
+            away = np.linalg.norm(np.maximum(np.maximum(low - xyz_N3, xyz_N3 - high), 0), axis=1)
+            inside = np.min(np.hstack([xyz_N3 - low, high - xyz_N3]), axis=1)
             gaps.append(np.where(away > 0, away, -inside))
         return np.min(gaps, axis=0)
 

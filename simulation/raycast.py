@@ -3,7 +3,6 @@
 import ctypes
 import functools
 import sys
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,14 +27,6 @@ def _open3d() -> Any:
     return open3d
 
 
-@dataclass(frozen=True)
-class Hits:
-    """What N rays met: distance in units of the ray's direction (inf for nothing) and triangle (NOTHING)."""
-
-    distance: NDArray[np.float32]
-    triangle: NDArray[np.int64]
-
-
 class Caster:
     """Triangles (T, 3) over vertices (V, 3), ready to cast rays at. One thread a call: processes share the cores."""
 
@@ -48,13 +39,14 @@ class Caster:
             self._tensor(np.ascontiguousarray(triangles_T3, np.uint32)),
         )
 
-    def cast(self, rays_N6: NDArray[np.float32]) -> Hits:
-        """The first triangle that each ray (origin, direction) meets."""
+    def cast(self, rays_N6: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """The first triangle that each ray (origin, direction) meets (NOTHING), and how far off, in units of its
+        direction (inf for nothing)."""
         answer = self._scene.cast_rays(self._tensor(np.ascontiguousarray(rays_N6, np.float32)), nthreads=1)
         triangle = answer["primitive_ids"].numpy().astype(np.int64)
         distance = answer["t_hit"].numpy()
         triangle[~np.isfinite(distance)] = NOTHING
-        return Hits(distance, triangle)
+        return triangle, distance
 
     def blocked(self, rays_N6: NDArray[np.float32], reach: float) -> NDArray[np.bool_]:
         """Whether each ray meets anything before `reach` times its direction."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from groundwalk.geometry.poses import Array
 from groundwalk.simulation import atlas
 from groundwalk.simulation.atlas import TexturedMesh
-from groundwalk.simulation.raycast import NOTHING, Caster, Hits
+from groundwalk.simulation.raycast import NOTHING, Caster
 from groundwalk.simulation.view import F32, Rendering, View, turned
 
 _MAX_TAPS = 8
@@ -76,8 +76,7 @@ class Renderer:
         """Colour (N, 3), depth (N,) and surface (N,) that the image points (x, y) see."""
         sight = look.sight(x, y)
         rays = look.rays(sight)
-        hits = self._caster.cast(rays)
-        triangle, depth = hits.triangle, hits.distance
+        triangle, depth = self._caster.cast(rays)
         surface = self._surfaces(triangle)
         colour = np.zeros((len(x), 3), np.float32)
         panes = np.flatnonzero(self._is_glass(triangle))
@@ -85,16 +84,16 @@ class Renderer:
         for _ in range(_PANES):
             if not len(panes) or weight is None:
                 break
-            mirrored, fraction = self._reflection(rays[panes], Hits(depth[panes], triangle[panes]), look, sky)
+            mirrored, fraction = self._reflection(rays[panes], triangle[panes], depth[panes], look, sky)
             colour[panes] += weight[panes] * fraction[:, None] * mirrored
             weight[panes] *= (1 - fraction)[:, None] * _GLASS_TINT
             onward = rays[panes].copy()
             step = depth[panes] + 1e-3
             onward[:, :3] += onward[:, 3:] * step[:, None]
-            behind = self._caster.cast(onward)
-            triangle[panes], depth[panes] = behind.triangle, behind.distance + step
-            surface[panes] = surface[panes] * 4099 + self._surfaces(behind.triangle)
-            panes = panes[self._is_glass(behind.triangle)]
+            behind, further = self._caster.cast(onward)
+            triangle[panes], depth[panes] = behind, further + step
+            surface[panes] = surface[panes] * 4099 + self._surfaces(behind)
+            panes = panes[self._is_glass(behind)]
         seen = triangle != NOTHING
         final = np.empty((len(x), 3), np.float32)
         final[seen] = self._shade(look, sight.hits(depth, np.flatnonzero(seen)), triangle[seen])
@@ -144,24 +143,25 @@ class Renderer:
         half = np.float32(0.5)
         return _lookup(self._atlas, u * scale + offset[:, 0] - half, v * scale + offset[:, 1] - half)
 
-    def _reflection(self, rays_N6: F32, hits: Hits, look: "_Look", sky: Sky) -> tuple[F32, F32]:
+    def _reflection(
+        self, rays_N6: F32, pane: NDArray[np.int64], distance: F32, look: "_Look", sky: Sky
+    ) -> tuple[F32, F32]:
         """What panes mirror (N, 3), and the mirrored fraction (N,) by Schlick's formula for two surfaces of glass."""
-        normal = self._normals[hits.triangle].astype(np.float32)
+        normal = self._normals[pane].astype(np.float32)
         direction = rays_N6[:, 3:]
         length = np.linalg.norm(direction, axis=1)
         cosine = np.einsum("ij,ij->i", direction, normal) / length
         fraction = 0.08 + 0.92 * (1 - np.abs(cosine)) ** 5
         out = np.empty_like(rays_N6)
         out[:, 3:] = direction - 2 * (cosine * length)[:, None] * normal
-        out[:, :3] = rays_N6[:, :3] + hits.distance[:, None] * direction + 1e-3 * out[:, 3:]
-        far = self._caster.cast(out)
-        seen = (far.triangle != NOTHING) & ~self._is_glass(far.triangle)
-        colour = sky.colour(out[:, 3:])
-        point = out[seen, :3] + far.distance[seen, None] * out[seen, 3:]
-        triangle = far.triangle[seen]
+        out[:, :3] = rays_N6[:, :3] + distance[:, None] * direction + 1e-3 * out[:, 3:]
+        triangle, further = self._caster.cast(out)
+        seen = (triangle != NOTHING) & ~self._is_glass(triangle)
+        triangle, colour = triangle[seen], sky.colour(out[:, 3:])
+        point = out[seen, :3] + further[seen, None] * out[seen, 3:]
         a = self._mesh.texel_a_T23[triangle].astype(np.float32)
         texel = np.einsum("nij,nj->ni", a, point) + self._mesh.texel_b_T2[triangle].astype(np.float32)
-        across = (hits.distance + far.distance)[seen] / np.float32(look.focal) * 1.5
+        across = (distance + further)[seen] / np.float32(look.focal) * 1.5
         size = across * np.linalg.norm(a[:, 0], axis=1)
         level = np.clip(np.log2(np.maximum(size, 1e-6)), 0, atlas.LEVELS - 1.001).astype(np.float32)
         tint = self._mesh.tint_T[triangle, None]
@@ -221,15 +221,11 @@ class _Look:
         """World rays (N, 6) whose direction has depth 1, so that distances are depths."""
         rays = np.empty((len(sight.x), 6), np.float32)
         rays[:, :3] = self._origin
-        r = self._rotation.astype(np.float32)
-        if not sight.direction:
-            for k in range(3):
-                rays[:, 3 + k] = r[k, 0] * sight.x + r[k, 1] * sight.y + r[k, 2]
-            return rays
-        for k in range(3):
-            rays[:, k] += r[k, 0] * sight.start[0] + r[k, 1] * sight.start[1] + r[k, 2] * sight.start[2]
-            x, y, z = sight.direction
-            rays[:, 3 + k] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z
+        x, y, z = sight.direction or (sight.x, sight.y, np.float32(1))
+        for k, r in enumerate(self._rotation.astype(np.float32)):
+            rays[:, 3 + k] = r[0] * x + r[1] * y + r[2] * z
+            if sight.start:
+                rays[:, k] += r[0] * sight.start[0] + r[1] * sight.start[1] + r[2] * sight.start[2]
         return rays
 
     def footprint(self, sight: _Sight, triangle: NDArray[np.int64]) -> tuple[F32, F32, F32, F32, F32, F32]:

@@ -1,18 +1,20 @@
-"""One simulated session: true poses, VIO, and how each image is rendered."""
+"""One simulated session: true poses, VIO, and how each image is rendered; written as 3D Scanner App exports it, with
+what import reads of that: a JSON file a pose, info.json."""
 
+import json
 import math
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from groundwalk.geometry.poses import inverse
+from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, inverse
 from groundwalk.simulation import camera
 from groundwalk.simulation.camera import Exposure, Phone
-from groundwalk.simulation.capture import FRAME, SessionFrames
 from groundwalk.simulation.place import SceneryPlan, Vec
 from groundwalk.simulation.render import Renderer, Sky
 from groundwalk.simulation.settings import JPEG_QUALITY, MAX_SESSION_S, SimulateSettings
@@ -20,11 +22,14 @@ from groundwalk.simulation.view import View, row_times, shutter
 from groundwalk.simulation.vio import simulate_vio
 from groundwalk.simulation.walks import PlannedWalk, plan_walk
 from groundwalk.store.files import written_aside
+from groundwalk.store.simulated import FRAME
 
 _METER_PX = (32, 24)  # size of the image for auto exposure
 _METER_STEP_S = 0.5
 _CAMERA_HZ = 60
 _MOTION_S = 0.01
+# Of ARKit's projection: near at a millimetre, far at infinity.
+_PLANES = [[0.0, 0.0, -1.0, -0.001], [0.0, 0.0, -1.0, 0.0]]
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,25 @@ class SessionOutline:
     side: float
     start: float
     boot_s: float
+
+
+@dataclass(frozen=True)
+class SessionFrames:
+    """One session as its phone saw it: times (s since boot), vio_T_cam (OpenCV axes), fx fy cx cy, exposure (s);
+    `image_every` says which poses come with a JPEG."""
+
+    name: str
+    time_s: Vec
+    vio_T_cam: Vec
+    intrinsics_N4: Vec
+    exposure_s: Vec
+    width: int
+    height: int
+    image_every: int
+
+    @property
+    def image_indices(self) -> range:
+        return range(0, len(self.time_s), self.image_every)
 
 
 @dataclass(frozen=True)
@@ -123,11 +147,11 @@ def plan_session(
     exposures = camera.auto_exposure(brightness, 1 / settings.rate_hz, indoor, light_seed)
 
     t_ns = np.array([round(v * 1e9) for v in time_s], np.int64)
-    vio = simulate_vio(t_ns, walk.world_T_cam(t), int(seeds.generate_state(2)[1]))
+    vio_T_cam, _ = simulate_vio(t_ns, walk.world_T_cam(t), int(seeds.generate_state(2)[1]))
     frames = SessionFrames(
         name=plan.name,
         time_s=time_s,
-        vio_T_cam=vio.vio_T_cam,
+        vio_T_cam=vio_T_cam,
         intrinsics_N4=logged,
         exposure_s=np.array([e.duration_s for e in exposures]),
         width=settings.width,
@@ -197,3 +221,26 @@ def _meter(renderer: Renderer, world_T_cam: Vec, sky: Sky) -> Vec:
     focal = camera.FOCAL * w
     views = [View(pose, focal, focal, w / 2, h / 2, w, h) for pose in world_T_cam]
     return np.array([float(renderer.render(view, sky, 1).image.mean()) for view in views])
+
+
+def write_frames(folder: Path, session: SessionFrames) -> None:
+    """info.json and every frame's JSON; pictures are written apart."""
+    folder.mkdir(parents=True, exist_ok=True)
+    arkit, w, h = session.vio_T_cam @ ARKIT_CAM_T_CAM, session.width, session.height
+    content: dict[str, Any] = {"info": {"title": session.name, "appVersionString": "1.9.7"}}
+    for i, (fx, fy, cx, cy) in enumerate(session.intrinsics_N4):
+        projection = [[2 * fx / w, 0, 1 - 2 * cx / w, 0], [0, 2 * fy / h, 2 * cy / h - 1, 0], *_PLANES]
+        content[FRAME.format(i)] = {
+            "cameraPoseARFrame": _float32(arkit[i]),
+            "projectionMatrix": _float32(projection),
+            "intrinsics": _float32([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+            "exposureDuration": float(np.float32(session.exposure_s[i])),
+            "time": float(session.time_s[i]),
+        }
+    for name, values in content.items():
+        (folder / f"{name}.json").write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
+
+
+def _float32(matrix: ArrayLike) -> list[float]:
+    """Row-major values as the app has them, in single precision."""
+    return np.asarray(matrix, np.float32).ravel().tolist()

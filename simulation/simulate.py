@@ -10,12 +10,11 @@ import cv2
 import pandas as pd
 
 from groundwalk.simulation.atlas import TexturedMesh, is_saved
-from groundwalk.simulation.capture import write_frames
 from groundwalk.simulation.existing import is_made, key_of
 from groundwalk.simulation.mesh import build_mesh
 from groundwalk.simulation.render import Renderer
 from groundwalk.simulation.scenes import NAMES, scenery
-from groundwalk.simulation.session import Shot, SimulatedSession, outline, plan_session, take
+from groundwalk.simulation.session import Shot, SimulatedSession, outline, plan_session, take, write_frames
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.store import DataRoot, UserError
 from groundwalk.store.files import partial_folder, swap_in, write_json
@@ -48,11 +47,8 @@ def simulate(
     scene that can't be simulated, or a folder that holds anything which this function didn't write.
     """
     if scene not in NAMES:
-        raise UserError(
-            f"scene {scene} can't be simulated",
-            expected=f"one of {', '.join(NAMES)}",
-            do=f"{link_command(data.captures(scene), profile)}, for captures of your own",
-        )
+        do = f"{link_command(data.captures(scene), profile)}, for captures of your own"
+        raise UserError(f"scene {scene} can't be simulated", expected=f"one of {', '.join(NAMES)}", do=do)
     settings = resolve_settings(SimulateSettings, "simulate", data, profile, scene, overrides or [])
     config = data.scene(scene)[0]
     final = data.captures(scene)

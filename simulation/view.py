@@ -119,10 +119,8 @@ def shutter(world_T_middle: Array, world_T_row: Array) -> Shutter:
     middle_T_row = inverse(world_T_middle) @ world_T_row
     quaternion = quaternion_from_matrix(middle_T_row[:, :3, :3])
     powers = np.stack([np.array(_ROWS) ** k for k in (1, 2, 3)], axis=1)
-    return Shutter(
-        np.linalg.lstsq(powers, quaternion[:, :3] / quaternion[:, 3:])[0],
-        np.linalg.lstsq(powers, middle_T_row[:, :3, 3])[0],
-    )
+    turn = np.linalg.lstsq(powers, quaternion[:, :3] / quaternion[:, 3:])[0]
+    return Shutter(turn, np.linalg.lstsq(powers, middle_T_row[:, :3, 3])[0])
 
 
 def turned(turn: list[F32], x: F32, y: F32) -> tuple[F32, F32, F32]:
@@ -131,11 +129,7 @@ def turned(turn: list[F32], x: F32, y: F32) -> tuple[F32, F32, F32]:
     # v + 2 / (1 + |g|²) (g x v + g x (g x v))
     p, q, r = b - c * y, c * x - a, a * y - b * x
     scale = np.float32(2) / (1 + a * a + b * b + c * c)
-    return (
-        x + scale * (p + b * r - c * q),
-        y + scale * (q + c * p - a * r),
-        1 + scale * (r + a * q - b * p),
-    )
+    return (x + scale * (p + b * r - c * q), y + scale * (q + c * p - a * r), 1 + scale * (r + a * q - b * p))
 
 
 def _polynomial(coefficients_3: Array, u: F32) -> F32:

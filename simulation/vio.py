@@ -11,7 +11,7 @@ Because it hangs on the path and not on the frames, one seed gives one drift wha
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -53,34 +53,22 @@ class VioModel:
 FITTED = VioModel()
 
 
-@dataclass(frozen=True, eq=False)
-class VioTrack:
-    """A session as its odometry reports it.
-
-    `vio_T_cam` (N, 4, 4): metric, +y up up to the session's tilt, OpenCV camera axes; the origin is the first camera
-    and -z its heading. `tracking` (N,): "normal" or "limited"; after a lost tracking the frame itself is a new one.
-    """
-
-    vio_T_cam: Array
-    tracking: NDArray[np.str_]
-
-
-def simulate_vio(t_ns: ArrayLike, world_T_cam: ArrayLike, seed: int, model: VioModel = FITTED) -> VioTrack:
+def simulate_vio(
+    t_ns: Times, world_T_cam: Array, seed: int, model: VioModel = FITTED
+) -> tuple[Array, NDArray[np.bool_]]:
     """What odometry with the errors of `model` reports for the true walk world_T_cam (N, 4, 4), +y up, OpenCV camera
-    axes, at rising times t_ns (N,). The same seed gives the same track."""
-    times = np.asarray(t_ns, dtype=np.int64)
-    truth = np.asarray(world_T_cam, dtype=float)
-    vio_T_cam = _drifted(truth, seed, model)
-    vio_T_cam = _with_jumps(times, vio_T_cam, seed, model)
-    vio_T_cam = vio_T_cam @ _jitter(len(times), seed, model)
-    vio_T_cam, limited = _with_interruptions(times, vio_T_cam, seed, model)
-    return VioTrack(vio_T_cam, np.where(limited, "limited", "normal"))
+    axes, at rising times t_ns (N,). The same seed gives the same track.
+
+    vio_T_cam (N, 4, 4): metric, +y up up to the session's tilt, OpenCV camera axes; the origin is the first camera and
+    -z its heading. And where tracking is limited (N,); after a lost tracking the frame itself is a new one.
+    """
+    vio_T_cam = _with_jumps(t_ns, _drifted(world_T_cam, seed, model), seed, model)
+    return _with_interruptions(t_ns, vio_T_cam @ _jitter(len(t_ns), seed, model), seed, model)
 
 
-def start_frame(world_T_cam: ArrayLike) -> Array:
+def start_frame(world_T_cam: Array) -> Array:
     """world_T_vio (4, 4) of a session that starts at world_T_cam (4, 4): its origin at the camera, +y up and -z the
     camera's heading, as ARKit's world alignment `gravity`."""
-    world_T_cam = np.asarray(world_T_cam, dtype=float)
     forward = world_T_cam[:3, 2]
     if np.hypot(forward[0], forward[2]) < 1e-3:
         # Looking straight down (or up), the top (or bottom) of the image tells the heading.

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
@@ -38,9 +39,7 @@ class PlannedWalk:
         return make_pose(np.stack([right, np.cross(forward, right), forward], axis=2), self.position(t_s))
 
 
-def plan_walk(
-    route: Route, place: Place, duration_s: float, side: float, start: float, rng: np.random.Generator
-) -> PlannedWalk:
+def plan_walk(route: Route, place: Place, duration_s: float, side: float, start: float, rng: Generator) -> PlannedWalk:
     """A walk of duration_s along the route, round after round.
 
     `side` (-1 to 1) is which side of the course the walker prefers, `start` (0 to 1) where on it he begins. The
@@ -142,9 +141,7 @@ def _smooth_closed(values: Vec, sigma: float) -> Vec:
     return np.fft.irfft(spectrum * np.exp(-2 * (math.pi * sigma * frequency) ** 2), len(values))
 
 
-def _offsets(
-    course: _Course, route: Route, place: Place, side: float, reach_m: float, rng: np.random.Generator
-) -> CubicSpline:
+def _offsets(course: _Course, route: Route, place: Place, side: float, reach_m: float, rng: Generator) -> CubicSpline:
     """Metres to the left of the course, as a function of the distance, drawn in wherever something stands there."""
     knots = np.linspace(-8.0, reach_m + 8.0, max(8, round(reach_m / 4)))
     wish = route.spread_m * np.clip(0.75 * side + 0.3 * rng.standard_normal(len(knots)), -1, 1)
@@ -165,7 +162,7 @@ def _offsets(
 
 
 def _clock(
-    course: _Course, route: Route, offset: CubicSpline, start_m: float, duration_s: float, rng: np.random.Generator
+    course: _Course, route: Route, offset: CubicSpline, start_m: float, duration_s: float, rng: Generator
 ) -> CubicSpline:
     """Distance along the course as a smooth function of time: slower in bends, with pauses."""
     times = np.arange(-2.0, duration_s + 2.0, 0.1)
@@ -183,7 +180,7 @@ def _clock(
     return CubicSpline(times, s)
 
 
-def _glances(t: Vec, duration_s: float, route: Route, rng: np.random.Generator) -> Vec:
+def _glances(t: Vec, duration_s: float, route: Route, rng: Generator) -> Vec:
     """Looks aside and back, a few a minute. Some go far aside, to where no other walk may have looked from there:
     it's in such views that regressors fail by metres, and that gives their errors the long tail that real ones have."""
     yaw = np.zeros_like(t)
@@ -196,7 +193,7 @@ def _glances(t: Vec, duration_s: float, route: Route, rng: np.random.Generator) 
     return yaw
 
 
-def wander(t_s: Array, low_hz: float, high_hz: float, rng: np.random.Generator) -> Array:
+def wander(t_s: Array, low_hz: float, high_hz: float, rng: Generator) -> Array:
     """Smooth noise (N,) of about unit deviation with frequencies from low to high."""
     n = 9
     frequency = np.exp(rng.uniform(math.log(low_hz), math.log(high_hz), n))

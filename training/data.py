@@ -9,15 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from groundwalk.geometry.gravity import upright_rotation, with_tilt_of_gravity
+from groundwalk.geometry.poses import Array
 from groundwalk.store.files import written_aside
 from groundwalk.store.images import Image
 from groundwalk.store.resizing import turned_crop
 from groundwalk.training.poses import PoseBatch
+from groundwalk.training.regressor_settings import Jitter, Turn
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
@@ -81,11 +84,11 @@ class Frames:
 
     cache: ImageCache
     index_N: NDArray[np.int64]
-    K_N33: NDArray[np.float64]
-    position_N3: NDArray[np.float64]
-    quaternion_N4: NDArray[np.float64]
+    K_N33: Array
+    position_N3: Array
+    quaternion_N4: Array
     scene_N: NDArray[np.int64]
-    gravity_N3: NDArray[np.float64]
+    gravity_N3: Array
 
     def __len__(self) -> int:
         return len(self.index_N)
@@ -99,7 +102,7 @@ class Frames:
             return Rotation.identity(len(self))
         return Rotation.from_matrix(upright_rotation(self.gravity_N3))
 
-    def camera_poses(self, poses: PoseBatch, view: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def camera_poses(self, poses: PoseBatch, view: View) -> tuple[Array, Array]:
         """Positions (N, 3) and quaternions (N, 4) of map_T_cam from a network's answers to the view; where it's
         upright, with the tilt that gravity says."""
         position, quaternion = (t.detach().double().cpu().numpy() for t in (poses.position_B3, poses.quaternion_B4))
@@ -125,12 +128,7 @@ class Frames:
         return normalised(to_tensor(crops, device))
 
     def training_crops(
-        self,
-        view: View,
-        turn_deg: tuple[float, float, float] | None,
-        rng: np.random.Generator,
-        device: torch.device,
-        part: slice = slice(None),
+        self, view: View, turn_deg: Turn | None, rng: Generator, device: torch.device, part: slice = slice(None)
     ) -> tuple[Tensor, PoseBatch]:
         """Images (M, 3, height, width) in 0..1 of a part of the frames for training, and the poses that they are to be
         given. Random numbers are drawn for all frames.
@@ -157,7 +155,7 @@ class Frames:
     def _turned(self, cam_R_turned: Rotation, view: View, device: torch.device) -> list[Image]:
         """What the cameras see after these turns; for a GPU, which one thread can't keep busy, cropped by several."""
 
-        def crop(index: int, K: NDArray[np.float64], turn: NDArray[np.float64]) -> Image:
+        def crop(index: int, K: Array, turn: Array) -> Image:
             return turned_crop(self.cache[index], K, turn, view.width, view.height)
 
         columns = self.index_N, self.K_N33, cam_R_turned.as_matrix()
@@ -169,17 +167,9 @@ def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1))
 
 
-def pose_batch(
-    position_N3: NDArray[np.float64],
-    quaternion_N4: NDArray[np.float64],
-    scene_N: NDArray[np.int64],
-    device: torch.device,
-) -> PoseBatch:
-    return PoseBatch(
-        torch.tensor(position_N3, dtype=torch.float32, device=device),
-        torch.tensor(quaternion_N4, dtype=torch.float32, device=device),
-        torch.tensor(scene_N, dtype=torch.long, device=device),
-    )
+def pose_batch(position_N3: Array, quaternion_N4: Array, scene_N: NDArray[np.int64], device: torch.device) -> PoseBatch:
+    position, quaternion = (torch.tensor(v, dtype=torch.float32, device=device) for v in (position_N3, quaternion_N4))
+    return PoseBatch(position, quaternion, torch.tensor(scene_N, dtype=torch.long, device=device))
 
 
 def to_tensor(images: list[Image], device: torch.device) -> Tensor:
@@ -195,11 +185,7 @@ def normalised(image_N3HW: Tensor) -> Tensor:
 
 
 def jittered(
-    image_N3HW: Tensor,
-    extents: tuple[float, float, float, float],
-    rng: np.random.Generator,
-    count: int | None = None,
-    part: slice = slice(None),
+    image_N3HW: Tensor, extents: Jitter, rng: Generator, count: int | None = None, part: slice = slice(None)
 ) -> Tensor:
     """Images in 0..1 with colours changed at random, each in its own way. extents: the largest relative change of
     brightness, contrast and saturation, and of hue in turns of the colour circle, made in this order. The images are a

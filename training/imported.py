@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from groundwalk.store import StageRun, UserError
+from groundwalk.store import UserError
 from groundwalk.store.files import sha256_of
 from groundwalk.store.registry import AN_ID, is_id
 from groundwalk.store.tables import covariance_numbers, pose_columns, read_parquet, refuse_other_types
-from groundwalk.training.settings import TrainSettings
+from groundwalk.training.inputs import TrainRun
 
 _POSE = pose_columns("map_cam")
 _NEEDED = ["model", "frame_id", *_POSE]
@@ -19,7 +19,7 @@ _OPTIONAL = ["picked_scene", "covariance", "inference_ms"]
 _MIN_QUATERNION, _MAX_QUATERNION = 0.2, 5.0  # what a network puts out may not be normalised; degrees are far from it
 
 
-def read_imported(r: StageRun[TrainSettings], frames: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, str]]:
+def read_imported(r: TrainRun, frames: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, str]]:
     """Each imported regressor's name, its rows of train.predictions, and where they are from.
 
     Rows of frames that there aren't, and rows without a finite pose, are left out, counted and said. UserError for a
@@ -40,7 +40,7 @@ def read_imported(r: StageRun[TrainSettings], frames: pd.DataFrame) -> Iterator[
             yield name, _of_frames(r, name, rows, frames, path), origin
 
 
-def imported_card(r: StageRun[TrainSettings], name: str, rows: pd.DataFrame, origin: str) -> dict[str, Any]:
+def imported_card(r: TrainRun, name: str, rows: pd.DataFrame, origin: str) -> dict[str, Any]:
     """A row of train.models for imported predictions: what training alone knows is null."""
     unknown = ("parameters", "bytes", "train_frames", "val_frames", "epochs", "best_epoch", "train_seconds")
     view = ("resize_px", "crop_px", "width_px", "upright", "focal_px")
@@ -71,12 +71,8 @@ def _read(path: Path) -> pd.DataFrame:
         table["covariance"] = _covariances(table, path)
     wrong = [name for name in table["model"].unique() if not is_id(name)]
     if wrong:
-        raise UserError(
-            "predictions are of a regressor whose name can't be used",
-            where=f"{path}, column model",
-            expected=AN_ID,
-            found=repr(wrong[0]),
-        )
+        what = "predictions are of a regressor whose name can't be used"
+        raise UserError(what, where=f"{path}, column model", expected=AN_ID, found=repr(wrong[0]))
     return table
 
 
@@ -96,9 +92,7 @@ def _covariances(table: pd.DataFrame, path: Path) -> "pd.Series[Any]":
     return numbers.reindex(table.index)
 
 
-def _of_frames(
-    r: StageRun[TrainSettings], name: str, rows: pd.DataFrame, frames: pd.DataFrame, path: Path
-) -> pd.DataFrame:
+def _of_frames(r: TrainRun, name: str, rows: pd.DataFrame, frames: pd.DataFrame, path: Path) -> pd.DataFrame:
     """The rows as train.predictions has them, in the order of `frames`, whose ids may repeat in a group's scenes."""
     keys = ["scene", "frame_id"] if "scene" in rows.columns else ["frame_id"]
     if "scene" not in rows.columns and len(r.leaves) > 1:
@@ -107,9 +101,8 @@ def _of_frames(
     if len(twice):
         raise UserError(f"predictions of {name} have a frame twice", where=path, found=twice.iloc[0]["frame_id"])
     rows = rows.assign(**{column: rows.get(column) for column in _OPTIONAL})
-    usable = frames[["scene", "frame_id", "session_id", "split", "t_ns"]].merge(
-        rows[[*keys, *_POSE, *_OPTIONAL]], on=keys
-    )
+    stated = rows[[*keys, *_POSE, *_OPTIONAL]]
+    usable = frames[["scene", "frame_id", "session_id", "split", "t_ns"]].merge(stated, on=keys)
     finite = np.isfinite(usable[_POSE].to_numpy(float, na_value=np.nan)).all(axis=1)
     for what, count, meaning in (
         ("unknown", len(rows) - len(usable), "are of frames that this scene doesn't have"),
@@ -120,11 +113,9 @@ def _of_frames(
             r.say(f"warning: {name}: {count} predictions {meaning}")
     usable = usable[finite].reset_index(drop=True)
     if usable.empty:
+        expected, found = f"frame_id as {frames['frame_id'].iloc[0]}", f"{rows['frame_id'].iloc[0]}, {len(rows)} rows"
         raise UserError(
-            f"no prediction of {name} is of a frame of this scene",
-            where=path,
-            expected=f"frame_id as {frames['frame_id'].iloc[0]}",
-            found=f"{rows['frame_id'].iloc[0]}, {len(rows)} rows",
+            f"no prediction of {name} is of a frame of this scene", where=path, expected=expected, found=found
         )
     length = np.linalg.norm(usable[_POSE[3:]].to_numpy(float), axis=1)
     wrong = (length < _MIN_QUATERNION) | (length > _MAX_QUATERNION)

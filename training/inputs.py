@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.geometry.poses import tq_from_pose
+from groundwalk.geometry.poses import Array, tq_from_pose
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.images import Image, read_image
 from groundwalk.store.resizing import pinhole_image, small_image
@@ -16,11 +16,12 @@ from groundwalk.store.tables import camera_of, poses_of, with_cameras
 from groundwalk.training.data import Frames, ImageCache
 from groundwalk.training.settings import TrainSettings
 
+TrainRun = StageRun[TrainSettings]
 _NARROW = 1.1
 _HELD_OUT = 0.1  # share of each training session, where import marked none
 
 
-def read_frames(r: StageRun[TrainSettings]) -> pd.DataFrame:
+def read_frames(r: TrainRun) -> pd.DataFrame:
     """Every frame of the run's scenes: import.frames with the ground truth of align, its quality class (null where
     there is none) and its cameras, the scene's name and its index. Held-out frames are marked `val` in every scene."""
     tables = []
@@ -80,13 +81,13 @@ def virtual_focal(frames: pd.DataFrame) -> float:
     return float(np.median(_in_short_sides(frames.iloc[rows_with_truth(frames, "train")])))
 
 
-def _in_short_sides(frames: pd.DataFrame) -> NDArray[np.float64]:
+def _in_short_sides(frames: pd.DataFrame) -> Array:
     """Focal lengths (N,)."""
     sides = frames[["width", "height"]].to_numpy(float).min(axis=1)
     return np.asarray(frames[["fx", "fy"]].to_numpy(float).mean(axis=1) / sides)
 
 
-def warn_of_borders(r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float) -> None:
+def warn_of_borders(r: TrainRun, frames: pd.DataFrame, focal: float) -> None:
     """Say how many images show much less than the virtual pinhole sees."""
     if narrow := int((_in_short_sides(frames) > _NARROW * focal).sum()):
         r.say(
@@ -95,9 +96,7 @@ def warn_of_borders(r: StageRun[TrainSettings], frames: pd.DataFrame, focal: flo
         )
 
 
-def small_images(
-    r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float | None, short_side: int
-) -> Iterator[Image]:
+def small_images(r: TrainRun, frames: pd.DataFrame, focal: float | None, short_side: int) -> Iterator[Image]:
     """The frames' images with so many pixels on the shorter side, in order, with progress: the virtual pinhole's, or
     without `focal` as captured.
 

@@ -1,5 +1,6 @@
-"""The training loop, the same for every regressor."""
+"""The training loop, the same for every regressor, and whether one gives what it needs."""
 
+import copy
 import math
 import time
 from collections.abc import Iterator
@@ -9,14 +10,16 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from groundwalk.store import UserError
 from groundwalk.store.child import Report
 from groundwalk.store.files import written_aside
 from groundwalk.store.hints import setting_of
 from groundwalk.training import processes
-from groundwalk.training.data import Frames
+from groundwalk.training.data import Frames, View, normalised
 from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
+from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.sources import FeatureSource, ImageSource, Run
 from groundwalk.training.steps import GradientStep, gradient_step
@@ -24,6 +27,8 @@ from groundwalk.training.steps import GradientStep, gradient_step
 CHECKPOINT = "checkpoint.pt"
 _SCORED_EPOCHS = 5
 _GROWTH = 10.0  # by how many times itself the first epoch's loss may grow
+_CHECKED = 2  # images that a regressor is asked for before
+_UNIT = 1e-3
 
 
 def train(report: Report, model: PoseRegressor, training: Frames, held_out: Frames, run: Run) -> None:
@@ -46,11 +51,9 @@ def train(report: Report, model: PoseRegressor, training: Frames, held_out: Fram
         model.load_state_dict(saved["model"])
         optimiser.load_state_dict(saved["optimiser"])
         history, best = saved["history"], saved["best"]
-    source = (
-        FeatureSource(report, model, training, held_out, run, resumed=bool(history))
-        if isinstance(model, FrozenRegressor)
-        else ImageSource(model, training, held_out, run)
-    )
+    source: ImageSource | FeatureSource = ImageSource(model, training, held_out, run)
+    if isinstance(model, FrozenRegressor):
+        source = FeatureSource(report, model, training, held_out, run, resumed=bool(history))
     gradient = gradient_step(model, run.precision, run.device)
 
     report(len(history))
@@ -134,6 +137,45 @@ def held_out_score(history: list[dict[str, Any]]) -> float:
     """
     recent = history[-_SCORED_EPOCHS:]
     return math.prod(row["val_position_m"] * row["val_rotation_deg"] for row in recent) ** (1 / len(recent))
+
+
+def check_regressor(model: PoseRegressor, scenes: int, view: View, gives_covariance: bool) -> None:
+    """Run a copy of the model, on a CPU, over two images of noise; ValueError or TypeError naming what isn't as it
+    should be, before training and not hours later. The random numbers of PyTorch go on as if nothing had been drawn."""
+    if not isinstance(model, PoseRegressor):
+        raise TypeError(f"make returned a {type(model).__name__}, not a PoseRegressor")
+    with torch.random.fork_rng(devices=[]):
+        model = copy.deepcopy(model)
+        image = normalised(torch.rand(_CHECKED, 3, view.height, view.width))
+        with torch.no_grad():
+            answer = model.eval()(image)
+        _check_poses(answer, scenes, gives_covariance)
+        position, quaternion = torch.randn(_CHECKED, 3), torch.nn.functional.normalize(torch.randn(_CHECKED, 4), dim=-1)
+        truth = PoseBatch(position, quaternion, torch.zeros(_CHECKED, dtype=torch.long))
+        loss = model.train().loss(image, truth)
+    if not isinstance(loss, Tensor) or loss.shape != () or not loss.requires_grad:
+        raise ValueError(f"loss returned {_described(loss)}, not a scalar with a gradient")
+
+
+def _check_poses(answer: object, scenes: int, gives_covariance: bool) -> None:
+    if not isinstance(answer, PoseBatch):
+        raise TypeError(f"forward returned a {type(answer).__name__}, not a PoseBatch")
+    shapes = {"position_B3": (_CHECKED, 3), "quaternion_B4": (_CHECKED, 4), "scene_B": (_CHECKED,)}
+    if gives_covariance:
+        shapes["covariance_B66"] = (_CHECKED, 6, 6)
+    for name, shape in shapes.items():
+        tensor = getattr(answer, name)
+        if not isinstance(tensor, Tensor) or tensor.shape != shape:
+            raise ValueError(f"forward's {name} is {_described(tensor)}, not {shape} for {_CHECKED} images")
+    lengths = torch.linalg.vector_norm(answer.quaternion_B4.float(), dim=-1)
+    if not bool(((lengths - 1).abs() < _UNIT).all()):
+        raise ValueError(f"forward's quaternion_B4 have lengths {lengths.tolist()}, not 1")
+    if not bool(((answer.scene_B >= 0) & (answer.scene_B < scenes)).all()):
+        raise ValueError(f"forward's scene_B is {answer.scene_B.tolist()}, not from 0 to {scenes - 1}")
+
+
+def _described(value: object) -> str:
+    return f"of shape {tuple(value.shape)}" if isinstance(value, Tensor) else f"a {type(value).__name__}"
 
 
 def take_best(model: PoseRegressor, folder: Path) -> list[dict[str, Any]]:

@@ -59,3 +59,8 @@ def multiply(a_B4: Tensor, b_B4: Tensor) -> Tensor:
 def conjugate(q_B4: Tensor) -> Tensor:
     """Inverse rotations of unit quaternions (..., 4)."""
     return torch.cat([-q_B4[..., :3], q_B4[..., 3:]], dim=-1)
+
+
+def rotation_vector(q_from_B4: Tensor, q_to_B4: Tensor) -> Tensor:
+    """The rotations (..., 3), rad, in the axes of the reference frame, after which `q_from` becomes `q_to`."""
+    return 2 * log_quaternion(multiply(q_to_B4, conjugate(q_from_B4)))

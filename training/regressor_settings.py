@@ -8,6 +8,8 @@ from pydantic import Field
 
 from groundwalk.store import Settings
 
+Jitter = tuple[float, float, float, float]  # brightness, contrast, saturation and hue
+Turn = tuple[float, float, float]  # yaw, pitch and roll, degrees
 TURNED = (8.0, 3.0, 4.0)  # yaw, pitch and roll, degrees, of images that are few
 
 
@@ -30,8 +32,8 @@ class Recipe:
     schedule: Literal["constant", "thirds", "cosine"] = "constant"
     warmup_epochs: float = 0
     clip_gradient: float = 0
-    jitter: tuple[float, float, float, float] = (0, 0, 0, 0)
-    turn_deg: tuple[float, float, float] | None = None
+    jitter: Jitter = (0, 0, 0, 0)
+    turn_deg: Turn | None = None
     loss_weights: tuple[float, float] | None = (0.0, -3.0)
     normalise: bool = True
     bfloat16: bool = True
@@ -45,7 +47,7 @@ class RegressorSettings(Settings):
     epochs: int = Field(300, gt=0, description="passes over the training frames")
     batch: int = Field(64, gt=1, description="images a step")
     learning_rate: float = Field(1e-4, gt=0, description="Adam's learning rate after warming up")
-    jitter: tuple[float, float, float, float] | None = Field(
+    jitter: Jitter | None = Field(
         None, description="colour jitter: brightness, contrast, saturation, hue; without it the recipe's"
     )
 

@@ -5,17 +5,19 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.random import Generator
 from numpy.typing import NDArray
 from torch import Tensor
 
+from groundwalk.geometry.poses import Array
 from groundwalk.store.child import Report
 from groundwalk.store.files import written_aside
 from groundwalk.training import processes
 from groundwalk.training.data import Frames, View, jittered, normalised, pose_batch
-from groundwalk.training.evaluation import errors, pose_errors
 from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
 from groundwalk.training.poses import PoseBatch
-from groundwalk.training.regressor_settings import RegressorSettings
+from groundwalk.training.predict import errors, pose_errors
+from groundwalk.training.regressor_settings import Jitter, RegressorSettings, Turn
 from groundwalk.training.steps import Precision
 
 COPIES = 20  # turned and re-coloured ones of each training image
@@ -42,12 +44,7 @@ class Run:
 
 
 def augmented(
-    frames: Frames,
-    run: Run,
-    turn_deg: tuple[float, float, float] | None,
-    jitter: tuple[float, float, float, float],
-    rng: np.random.Generator,
-    part: slice = slice(None),
+    frames: Frames, run: Run, turn_deg: Turn | None, jitter: Jitter, rng: Generator, part: slice = slice(None)
 ) -> tuple[Tensor, PoseBatch]:
     """Training crops of a part of the frames, re-coloured and normalised, and their poses. Random numbers are drawn for
     all frames, so that a frame's are the same whatever the part."""
@@ -63,13 +60,13 @@ class ImageSource:
         self.model, self.training, self.held_out, self.run = model, training, held_out, run
         self.scene_N = training.scene_N
 
-    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
+    def batch(self, rows: NDArray[np.int64], rng: Generator) -> tuple[Tensor, PoseBatch]:
         """What the loss of this process's share of some rows is computed from (see `gradient_step`), and the true
         poses."""
         recipe, training = self.run.settings.training, self.training.select(rows)
         return augmented(training, self.run, recipe.turn_deg, recipe.jitter, rng, processes.share())
 
-    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def errors(self) -> tuple[Array, Array]:
         """Position (m) and rotation errors (deg) on the held-out frames."""
         return pose_errors(self.model, self.held_out, self.run.view, self.run.device)
 
@@ -95,7 +92,7 @@ class FeatureSource:
         self.reduced = torch.cat([model.reduced(part.to(run.device)).cpu() for part in parts])
         self.held_out_reduced = model.reduced(model.features(held_out.centre_crops(run.view, run.device)))
 
-    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, PoseBatch]:
+    def batch(self, rows: NDArray[np.int64], rng: Generator) -> tuple[Tensor, PoseBatch]:
         """As of images."""
         rows = rows[processes.share()]
         frames = rows % len(self.training)
@@ -104,7 +101,7 @@ class FeatureSource:
         return self.reduced[torch.from_numpy(rows)].to(self.run.device), poses
 
     @torch.no_grad()
-    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def errors(self) -> tuple[Array, Array]:
         """As of images."""
         poses = self.model.eval().answer(self.held_out_reduced)
         return errors(*self.held_out.camera_poses(poses, self.run.view), self.held_out)
@@ -113,7 +110,7 @@ class FeatureSource:
 @torch.no_grad()
 def feature_cache(
     model: FrozenRegressor, training: Frames, run: Run, report: Report
-) -> tuple[NDArray[np.float16], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float16], Array]:
     """Features (M, ...) of all copies and the quaternions (M, 4) of their poses. They are kept in a folder, where an
     earlier run may have left them; `quaternions.npy` comes last and marks it as whole.
 

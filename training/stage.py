@@ -15,29 +15,19 @@ import torch
 
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.scoring.scores import median_error
-from groundwalk.store import StageRun, UserError, colours
+from groundwalk.store import UserError, colours
 from groundwalk.store.child import Report, Task, in_children
 from groundwalk.store.hints import setting_of
 from groundwalk.store.registry import PluginError
 from groundwalk.store.schemas import schema
-from groundwalk.training import processes
+from groundwalk.training import inputs, processes
 from groundwalk.training.build import Trained, save_trained
-from groundwalk.training.checks import check_regressor
 from groundwalk.training.data import Frames, ImageCache, View
-from groundwalk.training.evaluation import answers, errors, mean_pose_errors
 from groundwalk.training.imported import imported_card, read_imported
-from groundwalk.training.inputs import (
-    as_training_frames,
-    check_trainable,
-    read_frames,
-    rows_with_truth,
-    small_images,
-    virtual_focal,
-    warn_of_borders,
-)
-from groundwalk.training.loop import save, take_best, train
+from groundwalk.training.inputs import TrainRun, rows_with_truth
+from groundwalk.training.loop import check_regressor, save, take_best, train
 from groundwalk.training.models.regressor import PoseRegressor
-from groundwalk.training.predict import predict
+from groundwalk.training.predict import answers, errors, mean_pose_errors, predict
 from groundwalk.training.record import blueprint, record
 from groundwalk.training.regressor_settings import RegressorSettings, weights_file
 from groundwalk.training.regressors import REGRESSORS
@@ -78,23 +68,25 @@ class Job:
         return model
 
 
-def run(r: StageRun[TrainSettings]) -> None:
+def run(r: TrainRun) -> None:
     r.warn_of_scale()
-    frames = read_frames(r)
+    frames = inputs.read_frames(r)
     torch.set_num_threads(r.settings.threads)
     device = choose_device(r.settings.device, r.settings.processes)
     imported = list(read_imported(r, frames))
     models = models_of(r)
     if models:
-        check_trainable(frames, r.folder("align", r.leaves[0]))
-    focal = virtual_focal(frames) if models and r.settings.undistort else None
+        inputs.check_trainable(frames, r.folder("align", r.leaves[0]))
+    focal = inputs.virtual_focal(frames) if models and r.settings.undistort else None
     if focal is not None:
         r.figure("virtual focal length in shorter image sides", focal)
-        warn_of_borders(r, frames, focal)
+        inputs.warn_of_borders(r, frames, focal)
     with r.step("images"):
         sides = sorted({r.settings.resize, *(short_side(r.settings, model) for model in models)})
-        caches = {s: ImageCache.build(r.scratch / f"images-{s}", small_images(r, frames, focal, s)) for s in sides}
-        data = {side: as_training_frames(frames, cache, focal) for side, cache in caches.items()}
+        caches = {
+            s: ImageCache.build(r.scratch / f"images-{s}", inputs.small_images(r, frames, focal, s)) for s in sides
+        }
+        data = {side: inputs.as_training_frames(frames, cache, focal) for side, cache in caches.items()}
     report_mean_pose(r, frames, data[r.settings.resize])
 
     faults: list[PluginError] = []
@@ -119,18 +111,13 @@ def run(r: StageRun[TrainSettings]) -> None:
 def choose_device(wanted: str, count: int) -> torch.device:
     """The device to train on; UserError where a GPU is asked for and there is none, or not one for each process."""
     if wanted == "cuda" and not torch.cuda.is_available():
-        raise UserError(
-            "no CUDA device",
-            found="device = cuda, which PyTorch doesn't see",
-            do="set " + setting_of("train", 'device = "auto"'),
-        )
+        do = "set " + setting_of("train", 'device = "auto"')
+        raise UserError("no CUDA device", found="device = cuda, which PyTorch doesn't see", do=do)
     device = torch.device("cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu")
     if device.type == "cuda" and count > max(1, torch.cuda.device_count()):
-        raise UserError(
-            "each process trains on a GPU of its own",
-            found=f"{torch.cuda.device_count()} GPUs for {count} processes",
-            do="set a smaller number of " + setting_of("train", "processes"),
-        )
+        found = f"{torch.cuda.device_count()} GPUs for {count} processes"
+        do = "set a smaller number of " + setting_of("train", "processes")
+        raise UserError("each process trains on a GPU of its own", found=found, do=do)
     return device
 
 
@@ -148,7 +135,7 @@ def choose_precision(
     return "bf16" if has_units and settings.training.bfloat16 else "fp32"
 
 
-def models_of(r: StageRun[TrainSettings]) -> list[str]:
+def models_of(r: TrainRun) -> list[str]:
     """The models that this run trains: of a group of scenes those that hold several."""
     usable = [m for m in r.settings.models if m in REGRESSORS]
     models = [m for m in usable if REGRESSORS[m].multi_scene or not r.scene.is_group]
@@ -191,7 +178,7 @@ def left_out(model: str, faults: list[PluginError]) -> Iterator[None]:
         faults.append(fault)
 
 
-def prepare(r: StageRun[TrainSettings], name: str, data: Frames, frames: pd.DataFrame, device: torch.device) -> Job:
+def prepare(r: TrainRun, name: str, data: Frames, frames: pd.DataFrame, device: torch.device) -> Job:
     """Fill and keep a model's first weights; a resumed run finds them, and where they came from, as they were."""
     settings, regressor = r.settings.regressors[name], REGRESSORS.find(name)
     training, held_out = (data.select(rows_with_truth(frames, split)) for split in ("train", "val"))
@@ -211,7 +198,7 @@ def prepare(r: StageRun[TrainSettings], name: str, data: Frames, frames: pd.Data
     return Job(r.leaves, outdoor, training, held_out, run, origin)
 
 
-def train_all(r: StageRun[TrainSettings], jobs: list[Job], faults: list[PluginError]) -> list[Job]:
+def train_all(r: TrainRun, jobs: list[Job], faults: list[PluginError]) -> list[Job]:
     """Train the models, each in processes of its own: two on a thread each are done sooner than one after the other on
     two. Returns those that were trained."""
     if not jobs:
@@ -246,7 +233,7 @@ def _no_report(done: int, note: str = "") -> None:
     """Progress of a process beside the first one."""
 
 
-def finish(r: StageRun[TrainSettings], job: Job, data: Frames, frames: pd.DataFrame, focal: float | None) -> Result:
+def finish(r: TrainRun, job: Job, data: Frames, frames: pd.DataFrame, focal: float | None) -> Result:
     """Write a trained model's weights file, and predict every frame with it."""
     name, run, view, regressor = job.run.title, job.run, job.run.view, REGRESSORS.find(job.run.title)
     model = job.model()
@@ -317,7 +304,7 @@ def calibrate(model: PoseRegressor, held_out: Frames, run: Run) -> None:
     model.calibrate(estimates._replace(quaternion_B4=as_tensor), held_out.poses(run.device))
 
 
-def report_mean_pose(r: StageRun[TrainSettings], frames: pd.DataFrame, data: Frames) -> None:
+def report_mean_pose(r: TrainRun, frames: pd.DataFrame, data: Frames) -> None:
     """Keep, as figures, how well the mean training pose of each scene does: what a regressor has to beat."""
     for scene in r.leaves:
         here = (frames["scene"] == scene).to_numpy()
@@ -326,9 +313,7 @@ def report_mean_pose(r: StageRun[TrainSettings], frames: pd.DataFrame, data: Fra
             keep_figures(r, "mean-pose", scene, *mean_pose_errors(training, tested))
 
 
-def report_accuracy(
-    r: StageRun[TrainSettings], name: str, frames: pd.DataFrame, data: Frames, predictions: pd.DataFrame
-) -> None:
+def report_accuracy(r: TrainRun, name: str, frames: pd.DataFrame, data: Frames, predictions: pd.DataFrame) -> None:
     """Keep, as figures, the model's errors on each scene's test frames, and say them; a frame without a pose, or that
     was taken for another scene's, is infinitely wrong."""
     keys = ["scene", "frame_id"]
@@ -345,9 +330,7 @@ def report_accuracy(
                 r.say(f"{scene}: the ground truth of {uncertain} of these {len(rows)} test frames is of class C")
 
 
-def keep_figures(
-    r: StageRun[TrainSettings], name: str, scene: str, position: np.ndarray, rotation_deg: np.ndarray
-) -> None:
+def keep_figures(r: TrainRun, name: str, scene: str, position: np.ndarray, rotation_deg: np.ndarray) -> None:
     title, unit = f"{name} {scene}", r.map_unit(scene).symbol
     medians = median_error(position), median_error(rotation_deg)
     total, answered = len(position), int(np.isfinite(position).sum())
@@ -361,7 +344,7 @@ def keep_figures(
     r.say(f"{title}: {text}; {answered} of {total} test frames have a pose in this map")
 
 
-def write_results(r: StageRun[TrainSettings], frames: pd.DataFrame, cache: ImageCache, results: list[Result]) -> None:
+def write_results(r: TrainRun, frames: pd.DataFrame, cache: ImageCache, results: list[Result]) -> None:
     predictions = pd.concat([result.predictions for result in results], ignore_index=True)
     curves = [result.history for result in results if len(result.history)]
     columns = schema("train", "history").column_names

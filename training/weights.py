@@ -36,12 +36,8 @@ def load_first_weights(backbone: nn.Module, url: str, weights: str, downloads: P
         except OSError as error:
             if weights == "auto":
                 return f"scratch (ImageNet weights could not be fetched: {error})"
-            raise UserError(
-                "ImageNet weights can't be fetched",
-                where=url,
-                found=error,
-                do=f"fetch the file elsewhere and put it at {path}, or name it, or scratch, in {SETTING}",
-            ) from None
+            do = f"fetch the file elsewhere and put it at {path}, or name it, or scratch, in {SETTING}"
+            raise UserError("ImageNet weights can't be fetched", where=url, found=error, do=do) from None
     return f"ImageNet, {path.name}, sha256 {_load_file(backbone, path)}"
 
 
@@ -98,13 +94,8 @@ def read_state(path: Path, expected: str) -> tuple[dict[str, Tensor], str]:
         )
     broken = [name for name, tensor in state.items() if not bool(torch.isfinite(tensor).all())]
     if broken:
-        raise UserError(
-            "a weights file isn't finite",
-            where=path,
-            expected="numbers",
-            found=f"NaN or infinity in {len(broken)} tensors ({broken[0]}, ...)",
-            do="fetch the file again",
-        )
+        found, do = f"NaN or infinity in {len(broken)} tensors ({broken[0]}, ...)", "fetch the file again"
+        raise UserError("a weights file isn't finite", where=path, expected="numbers", found=found, do=do)
     return dict(state), digest
 
 

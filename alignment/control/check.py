@@ -147,13 +147,10 @@ def check_control(
     except GeometryError as error:
         return replace(check, result=_result(points, subject, Status.UNDECIDED, str(error)))
     scale, up = free.survey_S_map.scale, UP.get(points.settings.up)
-    check = replace(
-        check,
-        used=used,
-        fit=fit,
-        scale=((1 / scale - 1 if rigid else scale), float(np.sqrt(free.covariance[6, 6])) * (1 if rigid else scale)),
-        tilt_deg=unknown if up is None else _tilt_deg(fit, up, main.vertical),
-    )
+    scale_sd = float(np.sqrt(free.covariance[6, 6]))
+    of_scale = (1 / scale - 1, scale_sd) if rigid else (scale, scale * scale_sd)
+    tilt_deg = unknown if up is None else _tilt_deg(fit, up, main.vertical)
+    check = replace(check, used=used, fit=fit, scale=of_scale, tilt_deg=tilt_deg)
     if beyond(*check.tilt_deg, _MAX_TILT_DEG):
         what = "mirrored: its up is the map's down" if check.tilt_deg[0] > 90 else "its up isn't the map's"
         fault = f"{what} (tilt {check.tilt_deg[0]:.0f}°); are two of its axes exchanged, or is it not level?"
@@ -303,9 +300,8 @@ def _wrong(points: ControlPoints, mapped: MappedPoints, similar: Sim3 | None, ou
 
 def _listed(points: ControlPoints, wrong: dict[int, str]) -> str:
     """The wrong points in words, each reason once."""
-    return "; ".join(
-        dict.fromkeys(text if "exchanged" in text else f"{points.names[row]} is {text}" for row, text in wrong.items())
-    )
+    told = (text if "exchanged" in text else f"{points.names[row]} is {text}" for row, text in wrong.items())
+    return "; ".join(dict.fromkeys(told))
 
 
 def _tilt_deg(fit: ControlFit, up: Array, vertical: Vertical) -> tuple[float, float]:

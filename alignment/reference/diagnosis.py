@@ -79,9 +79,8 @@ def _turned_cameras(reference_T_cam: Array, sfm_T_cam: Array, limits: Limits) ->
         return ""
     corrected = reference_T_cam
     for _ in range(_REFITS):
-        cam_R_stated = nearest_rotation(
-            np.median(np.swapaxes(turn @ sfm_T_cam[:, :3, :3], 1, 2) @ reference_T_cam[:, :3, :3], axis=0)
-        )
+        turns = np.swapaxes(turn @ sfm_T_cam[:, :3, :3], 1, 2) @ reference_T_cam[:, :3, :3]
+        cam_R_stated = nearest_rotation(np.median(turns, axis=0))
         corrected = reference_T_cam.copy()
         corrected[:, :3, :3] = reference_T_cam[:, :3, :3] @ cam_R_stated.T
         fit = fit_if_any(corrected, sfm_T_cam)

@@ -21,12 +21,9 @@ _MAX_ERROR_OF_EXTENT = 0.01
 
 def limits_of(reference: Reference, settings: AlignSettings) -> Limits:
     """How far frames may be from their reference poses."""
-    return Limits(
-        fraction=_MAX_ERROR_OF_EXTENT,
-        constant=settings.max_reference_error_m if reference.is_metric else 0.0,
-        rotation=float(np.radians(settings.max_reference_error_deg)),
-        min_consistent=settings.min_consistent_fraction,
-    )
+    constant = settings.max_reference_error_m if reference.is_metric else 0.0
+    rotation = float(np.radians(settings.max_reference_error_deg))
+    return Limits(_MAX_ERROR_OF_EXTENT, constant, rotation, settings.min_consistent_fraction)
 
 
 def fit_component(
@@ -40,13 +37,10 @@ def fit_component(
     fit = fit_similar_poses(reference.map_T_cam[rows[both]], sfm_T_cam[both])
     scale_by = ScaleSource.REFERENCE if reference.is_metric else ScaleSource.REFERENCE_UNIT_UNKNOWN
     vertical_by = VerticalSource.REFERENCE if reference.is_up_known else VerticalSource.REFERENCE_UP_UNKNOWN
+    scale = MapScale(float(np.log(fit.a_S_b.scale)), fit.scale_sd, {}, reference=scale_by)
+    vertical = Vertical(fit.a_S_b.rotation[1], fit.turn_sd, {}, vertical_by)
     component = Component(
-        index=index,
-        model_id=model_id,
-        segments=segments,
-        scale=MapScale(float(np.log(fit.a_S_b.scale)), fit.scale_sd, {}, reference=scale_by),
-        vertical=Vertical(fit.a_S_b.rotation[1], fit.turn_sd, {}, vertical_by),
-        vio_scale=NO_SCALE,
+        index=index, model_id=model_id, segments=segments, scale=scale, vertical=vertical, vio_scale=NO_SCALE
     )
     return PlacedComponent(component, fit.a_S_b), rows[both], fit
 

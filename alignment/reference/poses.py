@@ -31,13 +31,9 @@ class Reference:
             return None
         referenced = sessions[sessions["session_id"].isin(set(frames["session_id"][has_pose]))]
         x, y, z = (float(referenced[f"reference_origin_{axis}"].iloc[0]) for axis in "xyz")
-        return Reference(
-            map_T_cam,
-            is_metric=bool((referenced["reference_unit"] == LengthUnit.METRE).all()),
-            is_up_known=bool((referenced["up"] == UpAxis.Y).all()),
-            gives_map=bool(frames["vio_cam_tx"].isna().all()),
-            origin=(x, y, z),
-        )
+        is_metric = bool((referenced["reference_unit"] == LengthUnit.METRE).all())
+        is_up_known = bool((referenced["up"] == UpAxis.Y).all())
+        return Reference(map_T_cam, is_metric, is_up_known, bool(frames["vio_cam_tx"].isna().all()), (x, y, z))
 
     def where(self, mask: np.ndarray) -> "Reference":
         """The rows for which `mask` (N,) holds."""

@@ -43,9 +43,7 @@ class Detection:
     xy: Array
 
 
-def find_rulers(
-    rulers: Sequence[Ruler], frames: pd.DataFrame, image_path: Callable[[str], Path]
-) -> list[RulerDetections]:
+def find_rulers(rulers: list[Ruler], frames: pd.DataFrame, image_path: Callable[[str], Path]) -> list[RulerDetections]:
     """Look for rulers in all images of import's table `frames`; distances are where the settings say.
 
     Raises UserError for an image that can't be read, a distance's frame that doesn't exist, or a pixel outside of it.
@@ -71,15 +69,10 @@ def _detections(ruler: BoardRuler, by_image: Sequence[Detection], paths: Sequenc
     seen = [(row, d) for row, d in enumerate(by_image) if len(d.corner)]
     corners = nominal_corners(ruler)
     corner = np.concatenate([np.empty(0, dtype=np.int64), *(d.corner for _, d in seen)])
-    return RulerDetections(
-        ruler,
-        corners,
-        held_out_corners(ruler, corners, corner),
-        np.repeat([row for row, _ in seen], [len(d.corner) for _, d in seen]).astype(np.int64),
-        corner,
-        np.concatenate([np.empty((0, 2)), *(d.xy for _, d in seen)]),
-        "" if seen else explain_absence(ruler, paths),
-    )
+    row = np.repeat([row for row, _ in seen], [len(d.corner) for _, d in seen]).astype(np.int64)
+    xy = np.concatenate([np.empty((0, 2)), *(d.xy for _, d in seen)])
+    held_out, absence = held_out_corners(ruler, corners, corner), "" if seen else explain_absence(ruler, paths)
+    return RulerDetections(ruler, corners, held_out, row, corner, xy, absence)
 
 
 def _read_off(ruler: DistanceRuler, frames: pd.DataFrame) -> RulerDetections:
@@ -189,9 +182,8 @@ def explain_absence(ruler: BoardRuler, paths: Sequence[Path]) -> str:
 
 
 def _board(ruler: CharucoRuler) -> cv2.aruco.CharucoBoard:
-    board = cv2.aruco.CharucoBoard(
-        (ruler.squares_x, ruler.squares_y), ruler.square_mm, ruler.marker_mm, dictionary(ruler.dictionary)
-    )
+    squares, sizes_mm = (ruler.squares_x, ruler.squares_y), (ruler.square_mm, ruler.marker_mm)
+    board = cv2.aruco.CharucoBoard(squares, *sizes_mm, dictionary(ruler.dictionary))
     board.setLegacyPattern(ruler.legacy)
     return board
 

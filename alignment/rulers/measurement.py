@@ -162,9 +162,8 @@ def _too_few(measurement: RulerMeasurement, frames: pd.DataFrame) -> str:
             f"frames; {do}"
         )
     if isinstance(detections.ruler, DistanceRuler):
-        each = " and ".join(
-            f"{point.name!r} in {count}" for point, count in zip(detections.ruler.points, frames_of, strict=True)
-        )
+        counted = zip(detections.ruler.points, frames_of, strict=True)
+        each = " and ".join(f"{point.name!r} in {count}" for point, count in counted)
         return f"{each} of the model's frames ({names}); each of its points must be seen in 2 or more"
     return f"seen {where}; two of its corners must be seen in 2 or more frames"
 
@@ -185,9 +184,8 @@ def _weakness(measurement: RulerMeasurement) -> str:
 def _notes(measurement: RulerMeasurement, fit: RulerFit, frames: pd.DataFrame) -> tuple[str, ...]:
     """Sessions whose frames see the ruler elsewhere than the others do."""
     rows = measurement.detections.row[measurement.in_model]
-    table = pd.DataFrame(
-        {"session": frames["session_id"].to_numpy(str)[rows], "row": rows, "inlier": fit.inlier}
-    ).groupby("session")
+    session = frames["session_id"].to_numpy(str)[rows]
+    table = pd.DataFrame({"session": session, "row": rows, "inlier": fit.inlier}).groupby("session")
     sessions = table.agg(frames=("row", "nunique"), inliers=("inlier", "mean"))
     elsewhere = sessions[(sessions["frames"] >= 2) & (sessions["inliers"] < 0.5)]
     return tuple(

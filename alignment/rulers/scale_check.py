@@ -74,7 +74,7 @@ def scale_by_rulers(vio: MapScale, rulers: Sequence[RulerMeasurement], max_size_
 
 
 def check_rulers(
-    components: Sequence[Component], rulers: Sequence[RulerMeasurement], max_size_error: float
+    components: list[Component], rulers: Sequence[RulerMeasurement], max_size_error: float
 ) -> list[RulerCheck]:
     """Check each ruler against the scale of its model, model by model; undecided in one without scale or vertical, or
     in none."""
@@ -149,14 +149,11 @@ def _check(
     by = f"ruler {', '.join(scale.rulers)}" if scale.rulers else other
     size = f"in the map scaled by {by} {_measured('its', scale, measurement, part)} ({error:+.1%} ± {sd:.1%})"
     reason = fault or "; ".join(filter(None, [size, remark]))
-    result = evaluate(
-        CheckName.RULER_SCALE,
-        Subject(len(measurement.fits[part].frames), component=component.index),
-        Quantity(None if fault else abs(error), sd),
-        limit,
-        Failure(cause=FailureCause.RULER_INCONSISTENT, reason=f"{name}: {reason}"),
-        Status.FAILED if fault else decide(abs(error), sd, limit),
-    )
+    subject = Subject(len(measurement.fits[part].frames), component=component.index)
+    estimate = Quantity(None if fault else abs(error), sd)
+    failure = Failure(cause=FailureCause.RULER_INCONSISTENT, reason=f"{name}: {reason}")
+    status = Status.FAILED if fault else decide(abs(error), sd, limit)
+    result = evaluate(CheckName.RULER_SCALE, subject, estimate, limit, failure, status)
     # Held-out corners of a print of another size agree with those that set the scale.
     return replace(result, reason=f"{name}: {remark}") if remark and result.status is Status.PASSED else result
 

@@ -1,29 +1,20 @@
 """The batch evaluation of every method on every scene and model, for the stage and for tables from anywhere."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from groundwalk.fusion.definition import FuseSettings
-from groundwalk.fusion.evaluation.fuse import (
-    Fused,
-    Run,
-    error_rows,
-    fuse_all,
-    options_json,
-    pose_rows,
-    signal_rows,
-    stacked,
-)
+from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, pose_rows, signal_rows, stacked
 from groundwalk.fusion.evaluation.sessions import session_figures
-from groundwalk.fusion.evaluation.summary import intervals, summarise
+from groundwalk.fusion.evaluation.summary import figures, intervals, summarise
 from groundwalk.fusion.evaluation.sweep import around, sweep
-from groundwalk.fusion.evaluation.validation import validation_rows
-from groundwalk.fusion.files.odometry_conventions import refuse_other_conventions, refuse_unrelated
-from groundwalk.fusion.files.quaternion_order import refuse_scalar_first
+from groundwalk.fusion.files.conventions import refuse_other_conventions, refuse_scalar_first, refuse_unrelated
 from groundwalk.fusion.files.walks import Evaluated, Inputs, check, evaluated, true_poses
 from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.methods.localiser import MethodOptions
@@ -33,6 +24,9 @@ from groundwalk.store.choices import MapUnit, Split
 from groundwalk.store.progress import track
 from groundwalk.store.registry import PluginError
 from groundwalk.store.tables import gap_warning, map_unit, scale_warning
+
+# By which it is told which method is ahead.
+ERRORS = ["position_mean_m", "rotation_mean_deg"]
 
 
 @dataclass(frozen=True)
@@ -48,11 +42,8 @@ class Results:
 
 def resolved(settings: FuseSettings) -> dict[str, MethodOptions]:
     """The options of each method that is to run and can. UserError where no method can be used."""
-    chosen = {
-        name: resolve_options(name, settings.options.get(name))
-        for name in dict.fromkeys(settings.methods)
-        if name in METHODS
-    }
+    usable = [name for name in dict.fromkeys(settings.methods) if name in METHODS]
+    chosen = {name: resolve_options(name, settings.options.get(name)) for name in usable}
     if not chosen:
         method(settings.methods[0])
     return chosen
@@ -84,7 +75,7 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
         for name, chosen in options.items():
             if name in left_out:
                 continue
-            run = Run(name, options_json(chosen), model)
+            run = Run(name, chosen.json_text, model)
             make = partial(method(name).make, chosen)
             try:
                 with METHODS.guard(name):
@@ -127,17 +118,11 @@ def _with_raw(options: dict[str, MethodOptions], settings: FuseSettings) -> dict
 
 def _method_rows(options: dict[str, MethodOptions]) -> pd.DataFrame:
     """Table fuse.methods."""
-    return pd.DataFrame(
-        {
-            "method": name,
-            "options": options_json(chosen),
-            "label": METHODS[name].label,
-            "fuses": METHODS[name].fuses,
-            "causal": METHODS[name].causal,
-            "meaning": METHODS[name].meaning,
-        }
-        for name, chosen in options.items()
-    )
+    rows = []
+    for name, chosen in options.items():
+        told = {field: getattr(METHODS[name], field) for field in ("label", "fuses", "causal", "meaning")}
+        rows.append({"method": name, "options": chosen.json_text, **told})
+    return pd.DataFrame(rows)
 
 
 def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator[tuple[str, list[Walk]]]:
@@ -154,6 +139,41 @@ def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator
                 walks = evaluated(scene.scene, held, scene.truth, predictions, [Split.VAL]).walks
                 if fusible := [walk for walk in with_odometry(walks) if known(walk.map_T_cam).any()]:
                     yield str(model), fusible
+
+
+def validation_rows(
+    held_out: Iterable[tuple[str, list[Walk]]], options: Mapping[str, MethodOptions], left_out: dict[str, PluginError]
+) -> pd.DataFrame:
+    """Table fuse.validation: the causal methods on each model's walks of held-out frames, a scene each. Those of other
+    packages that fail join what is left out."""
+    rows: list[dict[str, Any]] = []
+    for model, walks in held_out:
+        for name, chosen in options.items():
+            if not method(name).causal or name in left_out:
+                continue
+            try:
+                with METHODS.guard(name):
+                    fused = fuse_all(Run(name, "", model), walks, partial(method(name).make, chosen))
+            except PluginError as fault:
+                left_out[name] = fault
+                continue
+            errors = stacked(error_rows(f) for f in fused)
+            of_all = figures(errors, "live_", len(errors))
+            row = {"method": name, "model": model, "scene": walks[0].scene}
+            rows.append(row | {figure: of_all[figure] for figure in ("frames", "coverage_pct", *ERRORS)})
+    rows = [row for row in rows if row["method"] not in left_out]
+    if not rows:
+        return pd.DataFrame()
+    table = pd.DataFrame(rows)
+    best = {key: ahead_of(of_case) for key, of_case in table.groupby(["scene", "model"])}
+    return table.assign(ahead=[best[row["scene"], row["model"]] == row["method"] for row in rows])
+
+
+def ahead_of(rows: pd.DataFrame) -> str:
+    """The method whose mean errors are least: their geometric mean, over the share of frames answered, as a missing
+    pose is a failure. rows: methods that have `method`, the mean errors and `coverage_pct`."""
+    size = np.sqrt(rows[ERRORS].astype(float).prod(axis=1, skipna=False)) / (rows["coverage_pct"] / 100)
+    return str(rows.loc[size.sort_values(kind="stable").index[0], "method"])
 
 
 def joined_walks(inputs: Inputs, splits: Sequence[str]) -> Iterator[tuple[str, Evaluated]]:

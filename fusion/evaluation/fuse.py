@@ -1,17 +1,15 @@
 """Running localisers over walks, frame by frame as a device would, and measuring what they said."""
 
-import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from groundwalk.fusion.methods import method
-from groundwalk.fusion.methods.localiser import Estimate, MethodOptions, Stepping, is_rigid
+from groundwalk.fusion.methods.localiser import Estimate, Stepping, is_rigid
 from groundwalk.fusion.methods.offline import Offline, stepped
-from groundwalk.fusion.walk import Walk, known
+from groundwalk.fusion.walk import Texts, Walk, known
 from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.store.parallel import one_thread
@@ -37,9 +35,9 @@ class Fused:
     run: Run
     walk: Walk
     estimates: list[Estimate]
-    status: NDArray[np.object_]
+    status: Texts
     map_T_cam: Array
-    live_status: NDArray[np.object_]
+    live_status: Texts
     live_map_T_cam: Array
 
     @property
@@ -134,11 +132,6 @@ def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
     return pd.concat([p for p in kept if len(p)] or kept[:1], ignore_index=True)
 
 
-def options_json(options: MethodOptions) -> str:
-    """Options as the tables hold them: JSON with sorted keys."""
-    return json.dumps(options.model_dump(mode="json"), sort_keys=True)
-
-
 def pose_errors(estimated: Array, true: Array) -> tuple[Array, Array]:
     """APE (N,) and AOE (N,) of poses (N, 4, 4), NaN where either is missing."""
     both = known(estimated) & known(true)
@@ -150,16 +143,5 @@ def pose_errors(estimated: Array, true: Array) -> tuple[Array, Array]:
 
 
 def _keys(fused: Fused) -> pd.DataFrame:
-    run, walk = fused.run, fused.walk
-    return pd.DataFrame(
-        {
-            "method": run.method,
-            "options": run.options,
-            "model": run.model,
-            "scene": walk.scene,
-            "frame_id": walk.frame_id,
-            "session_id": walk.session_id,
-            "split": walk.split,
-            "t_ns": walk.t_ns,
-        }
-    )
+    of_walk = {name: getattr(fused.walk, name) for name in ("scene", "frame_id", "session_id", "split", "t_ns")}
+    return pd.DataFrame(vars(fused.run) | of_walk)

@@ -13,14 +13,12 @@ _SETTLED_FRAMES = 10
 
 def session_figures(fused: Fused) -> dict[str, object]:
     """A row of table fuse.sessions."""
-    walk, run = fused.walk, fused.run
+    walk = fused.walk
     seconds = (walk.t_ns - walk.t_ns[0]) * 1e-9
     there = known(fused.live_map_T_cam)
     jitter_m, jitter_deg = _jitter(fused.live_map_T_cam, walk.vio_T_cam)
     return {
-        "method": run.method,
-        "options": run.options,
-        "model": run.model,
+        **vars(fused.run),
         "scene": walk.scene,
         "session_id": walk.session_id,
         "split": walk.split,

@@ -80,9 +80,6 @@ def intervals(errors: pd.DataFrame) -> pd.DataFrame:
         sessions = frames["session_id"].to_numpy(object)
         count = len(set(sessions))
         for figure, value, low, high in figures_by_session(sessions, *score_columns(frames, prefix)):
-            rows.append(
-                key
-                | {"figure": figure, "value": value, "low": low, "high": high}
-                | {"sessions": count, "draws": comb(2 * count - 1, count)}
-            )
+            drawn = {"sessions": count, "draws": comb(2 * count - 1, count)}
+            rows.append(key | {"figure": figure, "value": value, "low": low, "high": high} | drawn)
     return pd.DataFrame(rows)

@@ -34,9 +34,7 @@ class Setting(NamedTuple):
 def around(options: PaperRuleOptions) -> list[Setting]:
     """One threshold at a time, from the given options."""
     base = options.model_dump()
-    return [
-        Setting(PaperRuleOptions(**base | {name: value}), name) for name, tried in VALUES.items() for value in tried
-    ]
+    return [Setting(PaperRuleOptions(**base | {name: v}), name) for name, tried in VALUES.items() for v in tried]
 
 
 def sweep(walks: Mapping[tuple[str, str], Sequence[Walk]], settings: Sequence[Setting]) -> pd.DataFrame:

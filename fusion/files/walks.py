@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from groundwalk.fusion.files.odometry_conventions import shares_vertical
+from groundwalk.fusion.files.conventions import shares_vertical
 from groundwalk.fusion.methods.localiser import is_covariance
-from groundwalk.fusion.walk import Walk, known, with_odometry
+from groundwalk.fusion.walk import Texts, Walk, known, with_odometry
 from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.store import UserError
@@ -179,37 +178,24 @@ def evaluated(
 
 
 def _walks(
-    scene: str,
-    ordered: pd.DataFrame,
-    poses: tuple[Array, Array, Array],
-    quality: NDArray[np.object_],
-    covariance: Array | None,
+    scene: str, ordered: pd.DataFrame, poses: tuple[Array, Array, Array], quality: Texts, covariance: Array | None
 ) -> list[Walk]:
     """The walks of frames in order; `poses` are odometry's, the predictions' and the true ones (N, 4, 4)."""
-    gravity, (vio_T, apr_T, true_T) = _gravity(ordered), poses
-    states_gravity = set(_GRAVITY) <= set(ordered.columns)
+    gravity, states_gravity = _gravity(ordered), set(_GRAVITY) <= set(ordered.columns)
+    frame_ids, t_ns = ordered["frame_id"].to_numpy(object), ordered["t_ns"].to_numpy(np.int64)
     # A new walk begins where the session or the split changes in time.
     key = ordered["session_id"].astype(str) + "/" + ordered["split"]
     number = (key != key.shift()).cumsum().to_numpy()
     walks = []
     for rows in (number == n for n in np.unique(number)):
-        first = ordered.iloc[int(np.argmax(rows))]
+        session_id, split = (str(ordered.iloc[int(np.argmax(rows))][name]) for name in ("session_id", "split"))
+        ids, times, down, states = frame_ids[rows], t_ns[rows], gravity[rows], quality[rows]
+        vio_T, apr_T, true_T = (of_all[rows] for of_all in poses)
+        uncertain = None if covariance is None else covariance[rows]
+        has_vertical = not states_gravity or bool(np.isfinite(down).any())
+        is_shared = has_vertical and shares_vertical(true_T, vio_T)
         walks.append(
-            Walk(
-                scene,
-                str(first["session_id"]),
-                str(first["split"]),
-                ordered["frame_id"].to_numpy(object)[rows],
-                ordered["t_ns"].to_numpy(np.int64)[rows],
-                gravity[rows],
-                vio_T[rows],
-                apr_T[rows],
-                true_T[rows],
-                quality[rows],
-                None if covariance is None else covariance[rows],
-                (not states_gravity or bool(np.isfinite(gravity[rows]).any()))
-                and shares_vertical(true_T[rows], vio_T[rows]),
-            )
+            Walk(scene, session_id, split, ids, times, down, vio_T, apr_T, true_T, states, uncertain, is_shared)
         )
     return walks
 
@@ -284,7 +270,7 @@ def _refuse_no_quaternions(table: pd.DataFrame, what: str) -> None:
         )
 
 
-def _qualities(truth: pd.DataFrame) -> NDArray[np.object_]:
+def _qualities(truth: pd.DataFrame) -> Texts:
     """The class of each row's ground truth, (N,); None where none is stated."""
     if "quality" not in truth.columns:
         return np.full(len(truth), None, dtype=object)
@@ -334,10 +320,8 @@ def _refuse_unknown_quality(truth: pd.DataFrame, what: str) -> None:
 def _refuse_duplicates(table: pd.DataFrame, columns: list[str], what: str) -> None:
     twice = table[table.duplicated(columns)]
     if len(twice):
-        example = ", ".join(f"{c} {twice.iloc[0][c]}" for c in columns)
-        raise UserError(
-            f"{what} have rows twice", expected=f"each {' and '.join(columns)} once", found=f"{example}, ..."
-        )
+        found = ", ".join(f"{c} {twice.iloc[0][c]}" for c in columns) + ", ..."
+        raise UserError(f"{what} have rows twice", expected=f"each {' and '.join(columns)} once", found=found)
 
 
 def _refuse_disagreement(frames: pd.DataFrame, table: pd.DataFrame, what: str) -> None:
@@ -347,10 +331,6 @@ def _refuse_disagreement(frames: pd.DataFrame, table: pd.DataFrame, what: str) -
     for column in shared:
         wrong = joined[joined[column] != joined[f"{column}_other"]]
         if len(wrong):
-            row = wrong.iloc[0]
-            raise UserError(
-                f"{what}: {len(wrong)} rows have another {column} than their frames",
-                where=f"frame {row['frame_id']}",
-                expected=row[column],
-                found=row[f"{column}_other"],
-            )
+            frame_id, expected, found = wrong.iloc[0][["frame_id", column, f"{column}_other"]]
+            fault = f"{what}: {len(wrong)} rows have another {column} than their frames"
+            raise UserError(fault, where=f"frame {frame_id}", expected=expected, found=found)

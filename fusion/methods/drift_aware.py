@@ -4,7 +4,10 @@ again.
 Odometry and map are both gravity-aligned, so odometry drifts in yaw and position only. Predictions are kept as
 keyframes (keyframes.py); with each new one the alignment's whole course is fitted to all of them anew
 (fit.py), so that what a prediction counts is decided again with each that follows. Where the newest ones are
-explained better by another alignment, odometry has lost its frame, or found it again (alternatives.py)."""
+explained better by another alignment, odometry has lost its frame, or found it again (alternatives.py).
+
+Method `smoother` answers after the whole walk, for labelling. It is the same fit: later predictions re-weigh earlier
+ones, and the alignment at an earlier keyframe is read from it."""
 
 from math import acos, atan2, cos, degrees, hypot, isnan, log, nan, pi, radians, sin, sqrt
 
@@ -36,6 +39,8 @@ from groundwalk.fusion.methods.estimator.prediction_errors import (
 )
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, Status
 from groundwalk.fusion.methods.odometry import OdometryOptions
+from groundwalk.fusion.methods.offline import Offline, frames, stepped
+from groundwalk.fusion.walk import Walk
 from groundwalk.geometry.poses import Array, heading, make_pose, yaw_rotation
 from groundwalk.scoring.errors import pose_error
 
@@ -444,3 +449,20 @@ class DriftAware(Localiser):
             return Estimate(None, Status.NONE, reasons=("no_odometry", "no_prediction"))
         covariance = self._covariance_of(map_T_cam_predicted, self._predicted_covariance)
         return Estimate(map_T_cam_predicted, Status.PREDICTED, covariance, reasons=("no_odometry",))
+
+
+class Smoother(Offline):
+    """Each frame's pose from what is known in the end. A frame without odometry has its raw prediction."""
+
+    def __init__(self, options: DriftAwareOptions | None = None) -> None:
+        self.options = options or DriftAwareOptions()
+
+    def estimates(self, walk: Walk) -> list[Estimate]:
+        localiser = DriftAware(self.options, forgetful=False)
+        in_time = stepped(localiser, walk)
+        localiser.settle()
+        late: list[Estimate] = []
+        for estimate, (t_ns, vio_T_cam, predicted, _, covariance) in zip(in_time, frames(walk), strict=True):
+            revised = None if vio_T_cam is None else localiser.revised(t_ns, vio_T_cam, predicted, covariance)
+            late.append(revised or estimate)
+        return late

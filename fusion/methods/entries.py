@@ -1,15 +1,13 @@
 """Records of groundwalk's own fusion methods."""
 
 from groundwalk.fusion.methods import Method
-from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
+from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions, Smoother
 from groundwalk.fusion.methods.error_state import ErrorState, ErrorStateOptions
 from groundwalk.fusion.methods.last_good import LastGood
 from groundwalk.fusion.methods.localiser import MethodOptions
-from groundwalk.fusion.methods.odometry import PairOptions
+from groundwalk.fusion.methods.odometry import PairOptions, Raw
 from groundwalk.fusion.methods.paper_rule import PaperRule, PaperRuleOptions
 from groundwalk.fusion.methods.pose_graph import GlobalGraphOptions, PoseGraph, PoseGraphOptions
-from groundwalk.fusion.methods.raw import Raw
-from groundwalk.fusion.methods.smoother import Smoother
 from groundwalk.fusion.methods.vio_oracle import VioOracle, VioOracleOptions
 from groundwalk.fusion.methods.window import Window, WindowOptions
 from groundwalk.store import colours

@@ -1,6 +1,11 @@
-"""The streaming interface of every localiser: one frame in, one estimate out, causal, in bounded memory."""
+"""The streaming interface of every localiser: one frame in, one estimate out, causal, in bounded memory; and its state,
+as JSON has it: data alone, so that a state from elsewhere runs no code."""
 
+import base64
+import io
+import json
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -9,12 +14,12 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.fusion.methods.state import plain, restore_into
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, rigidity_error
-from groundwalk.store import Settings
+from groundwalk.store import Settings, UserError
 
 _RIGID = 1e-4
+_ARRAY = "npy"
 
 
 class Status(StrEnum):
@@ -58,6 +63,11 @@ class Estimate:
 
 class MethodOptions(Settings):
     """Base of every method's options."""
+
+    @property
+    def json_text(self) -> str:
+        """The options as tables hold them: JSON with sorted keys."""
+        return json.dumps(self.model_dump(mode="json"), sort_keys=True)
 
     @property
     def gates(self) -> dict[str, float]:
@@ -132,12 +142,12 @@ class Localiser(ABC):
 
     def save(self) -> dict[str, Any]:
         """The whole state as JSON has it; `restore` on a localiser with the same options goes on from it."""
-        return plain({name: value for name, value in vars(self).items() if name not in self._not_saved})
+        return _plain({name: value for name, value in vars(self).items() if name not in self._not_saved})
 
     def restore(self, state: dict[str, Any]) -> None:
         """Take over a state that `save` returned. UserError where it is of another method or version."""
         self.reset()
-        restore_into(self, state, self._not_saved)
+        _restore_into(self, state, self._not_saved)
 
     @abstractmethod
     def _advance(self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None) -> Estimate:
@@ -159,3 +169,50 @@ def is_covariance(matrix: Array) -> bool:
 def is_rigid(pose: Array) -> NDArray[np.bool_]:
     """Whether poses (..., 4, 4) are finite rigid transforms, as near as single precision stores them."""
     return np.asarray(rigidity_error(pose) < _RIGID)
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON has it: objects and dictionaries as their attributes, arrays as NumPy's files, in base64."""
+    if isinstance(value, np.ndarray):
+        file = io.BytesIO()
+        np.save(file, value, allow_pickle=False)
+        return {_ARRAY: base64.b64encode(file.getvalue()).decode()}
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, tuple | list | deque):
+        return [_plain(item) for item in value]
+    if isinstance(value, dict) or hasattr(value, "__dict__"):
+        content = value if isinstance(value, dict) else vars(value)
+        return {name: _plain(item) for name, item in content.items()}
+    return value
+
+
+def _restore_into(owner: object, state: Any, kept: tuple[str, ...] = ()) -> None:
+    """Give an object the attributes that `_plain` got, but those that are `kept`; the ones that it has say of what kind
+    each is. UserError where it has others."""
+    own = {name: value for name, value in getattr(owner, "__dict__", {}).items() if name not in kept}
+    if not isinstance(state, dict) or set(state) != set(own):
+        raise UserError(
+            "the state is of another method, or of another version of groundwalk",
+            where=type(owner).__name__,
+            expected=", ".join(own),
+            found=", ".join(map(str, state)) if isinstance(state, dict) else type(state).__name__,
+            do="begin anew, without it",
+        )
+    for name, value in state.items():
+        setattr(owner, name, _restored(value, own[name]))
+
+
+def _restored(value: Any, like: Any) -> Any:
+    """What `_plain` got, with `like` in its place in a fresh object; a list in nothing's place was a tuple."""
+    if isinstance(value, list):
+        items = [_restored(item, None) for item in value]
+        return (
+            deque(items, like.maxlen) if isinstance(like, deque) else items if isinstance(like, list) else tuple(items)
+        )
+    if not isinstance(value, dict):
+        return value
+    if set(value) == {_ARRAY}:
+        return np.load(io.BytesIO(base64.b64decode(value[_ARRAY])), allow_pickle=False)
+    _restore_into(like, value)
+    return like

@@ -1,5 +1,5 @@
 """What methods must know of odometry: that it can be lost, that it can jump, and the paper's test of a prediction
-(section III-A): does it move as odometry does from the prediction before?"""
+(section III-A): does it move as odometry does from the prediction before? And method `raw`, which has none."""
 
 import operator
 from abc import abstractmethod
@@ -58,6 +58,15 @@ def raw(map_T_cam_predicted: Array | None, *reasons: str) -> Estimate:
     if map_T_cam_predicted is None:
         return Estimate(None, Status.NONE, reasons=(*reasons, "no_prediction"))
     return Estimate(map_T_cam_predicted, Status.PREDICTED, reasons=reasons)
+
+
+class Raw(Localiser):
+    """Answers each frame with its prediction, and nothing where there is none."""
+
+    options_type = MethodOptions
+
+    def _advance(self, t_ns: int, vio_T_cam: Array | None, map_T_cam_predicted: Array | None) -> Estimate:
+        return raw(map_T_cam_predicted)
 
 
 class PairOptions(OdometryOptions):

@@ -20,10 +20,7 @@ class Offline(ABC):
 def stepped(localiser: Stepping, walk: Walk) -> list[Estimate]:
     """What a localiser says to a walk's frames, one after the other, as on a device. A `Localiser` also gets the
     covariances that predictions bring."""
-    return [
-        localiser.step(*frame) if isinstance(localiser, Localiser) else localiser.step(*frame[:4])
-        for frame in frames(walk)
-    ]
+    return [localiser.step(*f) if isinstance(localiser, Localiser) else localiser.step(*f[:4]) for f in frames(walk)]
 
 
 def frames(walk: Walk) -> list[tuple[int, Array | None, Array | None, Array | None, Array | None]]:

@@ -69,12 +69,9 @@ class PoseGraph(OdometryLocaliser):
             start = last @ relative(last_vio, vio_T_cam)
         self._window.append((map_T_cam_predicted, vio_T_cam, start))
         predicted, vio, guess = (np.array(poses) for poses in zip(*self._window, strict=True))
+        measured_sd, step_sd = (o.position_sd_m, radians(o.rotation_sd_deg)), (o.step_sd_m, radians(o.step_sd_deg))
+        steps = relative(vio[:-1], vio[1:])
         solved, self._covariance = smooth_chain(
-            predicted,
-            relative(vio[:-1], vio[1:]),
-            guess,
-            measured_sd=(o.position_sd_m, radians(o.rotation_sd_deg)),
-            step_sd=(o.step_sd_m, radians(o.step_sd_deg)),
-            huber=o.huber,
+            predicted, steps, guess, measured_sd=measured_sd, step_sd=step_sd, huber=o.huber
         )
         self._window.extend(zip(predicted, vio, solved, strict=True))

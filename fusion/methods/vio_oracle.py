@@ -14,7 +14,6 @@ from groundwalk.fusion.methods.odometry import OdometryOptions, have_jumped
 from groundwalk.fusion.methods.offline import Offline
 from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.fits import fit_poses
-from groundwalk.geometry.poses import Array
 
 
 class VioOracleOptions(OdometryOptions):
@@ -38,12 +37,8 @@ class VioOracle(Offline):
                 for i in frames:
                     answers[i] = Estimate(None, Status.NONE, reasons=("no_ground_truth",))
                 continue
-            map_T_vio: Array = fit_poses(
-                walk.map_T_cam[fitted],
-                walk.vio_T_cam[fitted],
-                position_sd_m=o.position_sd_m,
-                rotation_sd=radians(o.rotation_sd_deg),
-            )
+            true_T_cam, vio_T_cam, sd = walk.map_T_cam[fitted], walk.vio_T_cam[fitted], radians(o.rotation_sd_deg)
+            map_T_vio = fit_poses(true_T_cam, vio_T_cam, position_sd_m=o.position_sd_m, rotation_sd=sd)
             for i in frames:
                 answers[i] = Estimate(map_T_vio @ walk.vio_T_cam[i], Status.OPTIMISED, map_T_vio=map_T_vio)
         return answers

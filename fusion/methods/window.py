@@ -1,13 +1,14 @@
 """Method `window30`: the rigid alignment that fits the last 30 pairs of prediction and odometry best, robustly."""
 
 from collections import deque
+from math import radians
 
 import numpy as np
 from pydantic import Field
 
+from groundwalk.consistency.windows import PoseSd, fit_rigid
 from groundwalk.fusion.methods.localiser import Estimate, Status
 from groundwalk.fusion.methods.odometry import OdometryLocaliser, OdometryOptions, raw
-from groundwalk.geometry.fits import fit_poses, fit_robust, pose_residuals
 from groundwalk.geometry.poses import Array
 
 _TOLERANCE = 1e-3  # of the weights; the alignment is a centimetre's matter at best
@@ -33,22 +34,10 @@ class Window(OdometryLocaliser):
     def _fuse(self, t_ns: int, vio_T_cam: Array, map_T_cam_predicted: Array | None) -> Estimate:
         if map_T_cam_predicted is not None:
             self._pairs.append((map_T_cam_predicted, vio_T_cam))
-            self._map_T_vio = self._aligned()
+            map_T_cam, vio = (np.array(poses) for poses in zip(*self._pairs, strict=True))
+            sd = PoseSd(self.options.position_sd_m, radians(self.options.rotation_sd_deg))
+            self._map_T_vio = fit_rigid(map_T_cam, vio, sd, tolerance=_TOLERANCE)[0]
         if self._map_T_vio is None:
             return raw(map_T_cam_predicted)
         reasons = ("no_prediction",) if map_T_cam_predicted is None else ()
         return Estimate(self._map_T_vio @ vio_T_cam, Status.OPTIMISED, map_T_vio=self._map_T_vio, reasons=reasons)
-
-    def _aligned(self) -> Array:
-        o = self.options
-        map_T_cam, vio_T_cam = (np.array(poses) for poses in zip(*self._pairs, strict=True))
-        rotation_sd = float(np.radians(o.rotation_sd_deg))
-
-        def fit(weights: Array) -> Array:
-            return fit_poses(map_T_cam, vio_T_cam, weights, position_sd_m=o.position_sd_m, rotation_sd=rotation_sd)
-
-        def residuals(map_T_vio: Array) -> Array:
-            metres, angle = pose_residuals(map_T_cam, vio_T_cam, map_T_vio)
-            return np.hypot(metres / o.position_sd_m, angle / rotation_sd)
-
-        return fit_robust(fit, residuals, len(map_T_cam), floor=1.0, tolerance=_TOLERANCE)[0]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from groundwalk.simulation.canvas import Bgr, Canvas, Material, material
 from groundwalk.simulation.materials import foliage, plain, wood
-from groundwalk.simulation.place import UP, Crown, Light, Obstacle, Place, Quad, Vec, Xz
+from groundwalk.simulation.place import UP, Crown, Light, Place, Quad, Vec, Xz
 
 
 class Builder:
@@ -104,19 +104,18 @@ class Builder:
 
     def block(self, low: Sequence[float] | Vec, high: Sequence[float] | Vec) -> None:
         """Something in the way, without a look of its own."""
-        self.place.obstacles.append(Obstacle(np.array(low, float), np.array(high, float)))
+        self.place.obstacles.append((np.array(low, float), np.array(high, float)))
 
     def column(
         self, name: str, centre: Xz, radius: float, height: float, paint: Material, bottom: float = 0.0, sides: int = 10
     ) -> None:
         angle = 2 * math.pi * np.arange(sides + 1) / sides
-        points = np.stack([centre[0] + radius * np.cos(angle), centre[1] - radius * np.sin(angle)], axis=1)
+        x, z = centre
+        points = np.stack([x + radius * np.cos(angle), z - radius * np.sin(angle)], axis=1)
         for k in range(sides):
             left, right = points[k], points[k + 1]
             self.wall(f"{name}.{k}", tuple(left), tuple(right), bottom, bottom + height, paint)
-        self.block(
-            (centre[0] - radius, bottom, centre[1] - radius), (centre[0] + radius, bottom + height, centre[1] + radius)
-        )
+        self.block((x - radius, bottom, z - radius), (x + radius, bottom + height, z + radius))
 
     def tree(self, name: str, centre: Xz, height: float, spread: float = 1.6) -> None:
         """A trunk and a crown of several balls of leaves, which begins well above heads."""

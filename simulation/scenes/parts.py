@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -141,6 +142,12 @@ class _Front:
         p = self.left + x * self.along + forward * self.out
         return float(p[0]), float(p[1])
 
+    def box(
+        self, b: Builder, name: str, at: Xz, size: tuple[float, float, float], paint: Material, **more: Any
+    ) -> None:
+        """A box that looks as the front does, so far along it and out of it."""
+        b.box(f"{self.name}.{name}", self.at(*at), size, paint, yaw_deg=self.yaw_deg, **more)
+
 
 def _house(b: Builder, front: _Front, facade: Facade, roof: Material) -> None:
     """A house behind its front: side walls and a roof."""
@@ -152,24 +159,11 @@ def _house(b: Builder, front: _Front, facade: Facade, roof: Material) -> None:
     b.wall(f"{name}.left", tuple(far_left), tuple(left), 0, top, facade.wall, 2)
     b.wall(f"{name}.right", tuple(right), tuple(far_right), 0, top, facade.wall, 2)
     eaves = left - 0.35 * along - 0.35 * back
-    b.quad(
-        f"{name}.roof",
-        (eaves[0], top, eaves[1]),
-        ((width + 0.7) * along[0], 0, (width + 0.7) * along[1]),
-        ((depth + 0.35) * back[0], 0.75 * depth, (depth + 0.35) * back[1]),
-        roof,
-        1.5,
-    )
-    b.box(
-        f"{name}.cornice",
-        tuple((left + right) / 2 - 0.1 * back),
-        (width, 0.3, 0.25),
-        materials.plain((170, 178, 184)),
-        bottom=top - 0.3,
-        yaw_deg=front.yaw_deg,
-        faces="flru",
-        solid=False,
-    )
+    run, rise = (width + 0.7) * along, (depth + 0.35) * back
+    up = (rise[0], 0.75 * depth, rise[1])
+    b.quad(f"{name}.roof", (eaves[0], top, eaves[1]), (run[0], 0, run[1]), up, roof, 1.5)
+    cornice, size = materials.plain((170, 178, 184)), (width, 0.3, 0.25)
+    front.box(b, "cornice", (width / 2, 0.1), size, cornice, bottom=top - 0.3, faces="flru", solid=False)
     low, high = (extreme.reduce([left, right, far_left, far_right]) for extreme in (np.minimum, np.maximum))
     b.block((low[0], 0, low[1]), (high[0], top, high[1]))
 
@@ -184,14 +178,8 @@ def _dress(b: Builder, front: _Front, facade: Facade) -> None:
             _balcony(b, front, facade, k)
     if rng.random() < 0.75:
         _sign(b, front)
-    b.box(
-        f"{front.name}.pipe",
-        front.at(front.width_m - 0.2, 0.07),
-        (0.12, facade.storeys * facade.storey_m, 0.12),
-        materials.plain((90, 100, 96)),
-        yaw_deg=front.yaw_deg,
-        faces="flr",
-    )
+    size = (0.12, facade.storeys * facade.storey_m, 0.12)
+    front.box(b, "pipe", (front.width_m - 0.2, 0.07), size, materials.plain((90, 100, 96)), faces="flr")
     if rng.random() < 0.6:
         x = rng.uniform(0.8, max(0.9, front.width_m - 0.8))
         planter(b, f"{front.name}.planter", front.at(x, 0.45), front.yaw_deg)
@@ -206,17 +194,9 @@ def _awning(b: Builder, front: _Front, facade: Facade) -> None:
 
 
 def _balcony(b: Builder, front: _Front, facade: Facade, storey: int) -> None:
-    x = b.rng.uniform(1.2, max(1.3, front.width_m - 1.2))
-    b.box(
-        f"{front.name}.balcony{storey}",
-        front.at(x, 0.4),
-        (1.9, 0.95, 0.8),
-        materials.masonry(0.9, 0.12, [(60, 60, 62), (150, 155, 160)], (30, 30, 30), 0.02, 20),
-        bottom=(storey + 1) * facade.storey_m + 0.2,
-        yaw_deg=front.yaw_deg,
-        faces="flrtu",
-        solid=False,
-    )
+    x, bottom = b.rng.uniform(1.2, max(1.3, front.width_m - 1.2)), (storey + 1) * facade.storey_m + 0.2
+    bars = materials.masonry(0.9, 0.12, [(60, 60, 62), (150, 155, 160)], (30, 30, 30), 0.02, 20)
+    front.box(b, f"balcony{storey}", (x, 0.4), (1.9, 0.95, 0.8), bars, bottom=bottom, faces="flrtu", solid=False)
 
 
 def _sign(b: Builder, front: _Front) -> None:
@@ -225,15 +205,8 @@ def _sign(b: Builder, front: _Front) -> None:
         details.emblem(canvas, canvas.width_m / 2, canvas.height_m * 0.62, 0.25 * canvas.width_m)
         canvas.text(0.05, 0.12, 0.14, details.word(canvas.rng, 2), (245, 245, 245), canvas.width_m - 0.1)
 
-    b.box(
-        f"{front.name}.sign",
-        front.at(b.rng.uniform(0.5, front.width_m - 0.5), 0.5),
-        (0.06, 0.8, 0.8),
-        sign,
-        bottom=2.75,
-        yaw_deg=front.yaw_deg,
-        solid=False,
-    )
+    x = b.rng.uniform(0.5, front.width_m - 0.5)
+    front.box(b, "sign", (x, 0.5), (0.06, 0.8, 0.8), sign, bottom=2.75, solid=False)
 
 
 def planter(b: Builder, name: str, centre: Xz, yaw_deg: float = 0.0) -> None:

@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from groundwalk.training.data import View, normalised
-from groundwalk.training.evaluation import answers, pose_errors
 from groundwalk.training.loop import take_best, train
 from groundwalk.training.models.efficientnet import MBConv
 from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
 from groundwalk.training.poses import PoseBatch
+from groundwalk.training.predict import answers, pose_errors
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.sources import Run

@@ -11,11 +11,11 @@ from torch import Tensor, nn
 from groundwalk.store import UserError
 from groundwalk.training import loop
 from groundwalk.training.data import Frames, ImageCache, View
-from groundwalk.training.evaluation import mean_pose_errors, pose_errors
 from groundwalk.training.loop import epoch_batches, held_out_score, learning_rate, take_best, train
 from groundwalk.training.models.posenet import PoseNet
 from groundwalk.training.models.regressor import BackboneRegressor, FrozenRegressor, PoseRegressor
 from groundwalk.training.poses import PoseBatch, exp_quaternion
+from groundwalk.training.predict import mean_pose_errors, pose_errors
 from groundwalk.training.regressor_settings import MSTransformerSettings, PoseNetSettings, Recipe
 from groundwalk.training.sources import Run
 

@@ -14,8 +14,8 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
-from groundwalk.training.models.uncertainty import rotation_vector
-from groundwalk.training.poses import PoseBatch, canonical, exp_quaternion, multiply
+from groundwalk.geometry.poses import Array
+from groundwalk.training.poses import PoseBatch, canonical, exp_quaternion, multiply, rotation_vector
 
 OUTPUTS = 9  # of the network a component: logit, position and rotation beside the anchor's, logarithms of both scales
 _MEDIAN_STEPS = 12
@@ -58,9 +58,8 @@ class PoseMixture(nn.Module):
             for k in range(self.components):
                 inside = label == k if (label == k).any() else np.arange(len(label)) == k % len(label)
                 self.position_SK3[scene, k] = torch.from_numpy(position[inside].mean(axis=0))
-                self.quaternion_SK4[scene, k] = torch.from_numpy(
-                    Rotation.from_quat(quaternion[inside]).mean().as_quat()
-                )
+                mean = Rotation.from_quat(quaternion[inside]).mean()
+                self.quaternion_SK4[scene, k] = torch.from_numpy(mean.as_quat())
 
     def decode(self, outputs: Tensor, scene_B: Tensor) -> Components:
         """The components of network outputs, of each sample's scene."""
@@ -124,9 +123,7 @@ def _offsets(c: Components, position_B3: Tensor, quaternion_B4: Tensor) -> Tenso
     return torch.cat([turn, c.position_BK3 - position_B3[:, None]], dim=-1)
 
 
-def _clusters(
-    position_N3: NDArray[np.float64], quaternion_N4: NDArray[np.float64], components: int
-) -> NDArray[np.int64]:
+def _clusters(position_N3: Array, quaternion_N4: Array, components: int) -> NDArray[np.int64]:
     """A cluster's number for each pose, by position and viewing direction; a cluster can be without poses."""
     points = np.hstack([position_N3, Rotation.from_quat(quaternion_N4).apply([0, 0, 1])])
     if len(np.unique(points, axis=0)) <= components:

@@ -35,10 +35,8 @@ def conv_norm(
     channels_in: int, channels: int, kernel: int, stride: int = 1, *, groups: int = 1, activation: bool = True
 ) -> nn.Sequential:
     """Convolution with symmetric padding, batch norm and (option) SiLU."""
-    layers: list[nn.Module] = [
-        nn.Conv2d(channels_in, channels, kernel, stride, padding=kernel // 2, groups=groups, bias=False),
-        nn.BatchNorm2d(channels),
-    ]
+    conv = nn.Conv2d(channels_in, channels, kernel, stride, padding=kernel // 2, groups=groups, bias=False)
+    layers: list[nn.Module] = [conv, nn.BatchNorm2d(channels)]
     if activation:
         layers.append(nn.SiLU(inplace=True))
     return nn.Sequential(*layers)

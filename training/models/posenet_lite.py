@@ -1,15 +1,20 @@
-"""PN-Lite: a mixture of poses on whitened features of a frozen EfficientNet-Lite0."""
+"""PN-Lite: a mixture of poses on whitened features of a frozen EfficientNet-Lite0.
+
+Covariances are of poses in the map frame: rotation (rad) first, then position (m), of errors `true rotation =
+exp(rotation) estimated rotation`, as in the tables of poses.
+"""
 
 from pathlib import Path
 
 import torch
+from scipy.special import fdtri
 from torch import Tensor, nn
 
+from groundwalk.scoring.errors import BOUND_95
 from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
 from groundwalk.training.models.efficientnet_lite import MAP_CHANNELS, EfficientNetLite0, load_lite0
 from groundwalk.training.models.regressor import FrozenRegressor, SceneFrames
-from groundwalk.training.models.uncertainty import CovarianceScale, resized
-from groundwalk.training.poses import PoseBatch
+from groundwalk.training.poses import PoseBatch, rotation_vector
 from groundwalk.training.regressor_settings import LiteSettings, RegressorSettings
 
 WIDTH = 256  # features after whitening, and in the hidden layers
@@ -21,6 +26,10 @@ _POOLED = [channels * cells for channels, cells in zip(MAP_CHANNELS, _CELLS, str
 _CHANNEL_WIDTHS = 48, 128  # of the maps' 112 and 320 channels
 _REGULARISATION = 0.05  # of the whitening, in parts of the largest variance
 _SMALLEST = 1e-6
+_MIN_FRAMES = 3  # from which on errors of three axes have a covariance
+_QUANTILE = 0.9
+_CHI2_QUANTILE = 6.25  # of three degrees of freedom at _QUANTILE
+_FACTORS = (0.01, 100.0)
 
 
 class ChannelComponents(nn.Module):
@@ -73,6 +82,53 @@ class Whitening(nn.Module):
 
     def forward(self, features_BF: Tensor) -> Tensor:
         return (features_BF - self.mean) @ self.axes
+
+
+def resized(covariance_B66: Tensor, sd_B2: Tensor) -> Tensor:
+    """Covariances with these root mean square errors, in rotation and in position, and the shapes and correlations
+    that they had."""
+    squares = covariance_B66.diagonal(dim1=1, dim2=2).unflatten(1, (2, 3)).sum(-1)
+    by = (sd_B2 / squares.sqrt()).repeat_interleave(3, dim=1)
+    return by[:, None] * covariance_B66 * by[..., None]
+
+
+def calibration_factors(answers: PoseBatch, truth: PoseBatch) -> Tensor:
+    """By what to multiply the covariances' rotation and position parts, (2,), so that nine in ten held-out frames lie
+    within their bounds of that size, and for how little so many frames say of others (`widening`)."""
+    assert answers.covariance_B66 is not None
+    covariance = answers.covariance_B66.double()
+    factors = []
+    rotation = rotation_vector(answers.quaternion_B4, truth.quaternion_B4)
+    for i, error in enumerate((rotation, truth.position_B3 - answers.position_B3)):
+        block = covariance[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+        squared = (error.double() * torch.linalg.solve(block, error.double())).sum(-1)
+        factors.append((torch.quantile(squared, _QUANTILE) / _CHI2_QUANTILE).clamp(*_FACTORS))
+    return torch.stack(factors).float() * widening(len(truth.position_B3))
+
+
+def widening(frames: int) -> float:
+    """By what 95 % bounds of three numbers grow since their variances are known from so many frames only: those of
+    Hotelling's distribution over those of chi square. Fewer than three frames count as three."""
+    n = max(frames, _MIN_FRAMES)
+    return float(3 * n / (n - 2) * fdtri(3, n - 2, 0.95) / BOUND_95)
+
+
+class CovarianceScale(nn.Module):
+    """Scales covariances (B, 6, 6) by what held-out frames say of them."""
+
+    factor: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("factor", torch.ones(2))  # rotation, position
+
+    def forward(self, covariance_B66: Tensor) -> Tensor:
+        by = self.factor.repeat_interleave(3).sqrt()
+        return by[:, None] * covariance_B66 * by
+
+    def fit(self, answers: PoseBatch, truth: PoseBatch) -> None:
+        """Make the scale fit these answers too, which were made with the scale as it is."""
+        self.factor *= calibration_factors(answers, truth).to(self.factor)
 
 
 class PoseNetLite(FrozenRegressor):
@@ -139,9 +195,8 @@ class PoseNetLite(FrozenRegressor):
             channels.fit(part)
         parts = self._components(features)
         scales = torch.stack([part.std().clamp_min(_SMALLEST) * part.shape[1] ** 0.5 for part in parts])
-        self.whitening.fit(
-            torch.cat(parts, dim=1), scales.repeat_interleave(torch.tensor(self.widths, device=scales.device))
-        )
+        widths = torch.tensor(self.widths, device=scales.device)
+        self.whitening.fit(torch.cat(parts, dim=1), scales.repeat_interleave(widths))
 
     def answer(self, reduced: Tensor) -> PoseBatch:
         """The poses in the map frame. Covariances have the shape of the mixture's, and the size of `error_sizes`."""

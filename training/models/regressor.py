@@ -170,9 +170,8 @@ class BackboneRegressor(PoseRegressor):
         self.scenes = scenes
         self.frames = SceneFrames(scenes)
         # Without a recipe's own, those that MS-T's authors begin with.
-        self.loss_weights = LearnedWeights(
-            *settings.training.loss_weights or ((-3.0, -6.5) if outdoor else (0.0, -3.0))
-        )
+        first = settings.training.loss_weights or ((-3.0, -6.5) if outdoor else (0.0, -3.0))
+        self.loss_weights = LearnedWeights(*first)
 
     def initialise(self, poses: PoseBatch, settings: RegressorSettings, downloads: Path) -> str:
         if not isinstance(settings, BackboneSettings):

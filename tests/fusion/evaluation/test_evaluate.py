@@ -15,7 +15,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from groundwalk.fusion import commands
+from groundwalk.fusion import __main__ as commands
 from groundwalk.fusion.__main__ import app
 from groundwalk.fusion.definition import FuseSettings
 from groundwalk.fusion.evaluation.evaluate import Results, evaluate, report_lines
@@ -542,7 +542,7 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path: Path, mo
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr("groundwalk.fusion.commands.record", fail)
+        patched.setattr("groundwalk.fusion.__main__.record", fail)
         with pytest.raises(UserError, match="can't be written"):
             write(files, out, force=True)
     assert (out / "stale.parquet").exists() and len(list(tmp_path.iterdir())) == 6

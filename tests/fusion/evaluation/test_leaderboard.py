@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 
 from benchmarks.leaderboard import ahead, app, cases_in, leaderboard, ratios, scores
 from groundwalk.fusion.definition import FuseSettings
-from groundwalk.fusion.evaluation.evaluate import evaluate
-from groundwalk.fusion.evaluation.validation import ahead_of
+from groundwalk.fusion.evaluation.evaluate import ahead_of, evaluate
 from groundwalk.fusion.files.walks import Inputs
 from groundwalk.store import UserError
 from tests.fusion.tables import Tables, tables

@@ -8,13 +8,13 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from groundwalk.fusion.methods import METHODS
+from groundwalk.fusion.methods.drift_aware import Smoother
 from groundwalk.fusion.methods.error_state import ErrorState, ErrorStateOptions
 from groundwalk.fusion.methods.last_good import LastGood
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, Status
 from groundwalk.fusion.methods.odometry import PairOptions
 from groundwalk.fusion.methods.offline import stepped
 from groundwalk.fusion.methods.pose_graph import PoseGraph, PoseGraphOptions
-from groundwalk.fusion.methods.smoother import Smoother
 from groundwalk.fusion.methods.vio_oracle import VioOracle
 from groundwalk.fusion.methods.window import Window, WindowOptions
 from groundwalk.geometry.fits import pose_residuals

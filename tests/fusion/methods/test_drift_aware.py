@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from groundwalk.fusion.methods import drift_aware
-from groundwalk.fusion.methods.drift_aware import DriftAware
+from groundwalk.fusion.methods.drift_aware import DriftAware, Smoother
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, Status
 from groundwalk.fusion.methods.paper_rule import PaperRule
-from groundwalk.fusion.methods.smoother import Smoother
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
 from tests.fusion.random_walks import random_walk

@@ -18,8 +18,7 @@ from groundwalk.training.loop import take_best, train
 from groundwalk.training.models import efficientnet_lite
 from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
 from groundwalk.training.models.efficientnet_lite import EfficientNetLite0, folded, load_lite0
-from groundwalk.training.models.posenet_lite import PoseNetLite
-from groundwalk.training.models.uncertainty import CovarianceScale
+from groundwalk.training.models.posenet_lite import CovarianceScale, PoseNetLite
 from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressor_settings import LiteSettings
 from groundwalk.training.sources import Run

@@ -5,8 +5,8 @@ from torch import nn
 from groundwalk.store import UserError
 from groundwalk.training.models.efficientnet import EfficientNetB0
 from groundwalk.training.models.ms_transformer import MSTransformer
+from groundwalk.training.models.posenet import ResNet34
 from groundwalk.training.models.regressor import BackboneRegressor
-from groundwalk.training.models.resnet import ResNet34
 from groundwalk.training.poses import PoseBatch
 from groundwalk.training.regressors import REGRESSORS
 

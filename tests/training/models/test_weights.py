@@ -7,10 +7,9 @@ from groundwalk.store import UserError
 from groundwalk.training import weights
 from groundwalk.training.build import Trained, load_trained, save_trained
 from groundwalk.training.models.ms_transformer import MSTransformer
-from groundwalk.training.models.posenet import PoseNet
+from groundwalk.training.models.posenet import PoseNet, ResNet34
 from groundwalk.training.models.posenet_lite import PoseNetLite
 from groundwalk.training.models.regressor import BackboneRegressor
-from groundwalk.training.models.resnet import ResNet34
 from groundwalk.training.regressor_settings import LiteSettings, MSTransformerSettings, PoseNetSettings
 from groundwalk.training.weights import load_first_weights
 

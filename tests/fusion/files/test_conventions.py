@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from groundwalk.fusion.files.odometry_conventions import refuse_other_conventions, refuse_unrelated, shares_vertical
+from groundwalk.fusion.files.conventions import refuse_other_conventions, refuse_unrelated, shares_vertical
 from groundwalk.fusion.walk import Walk
 from groundwalk.geometry.poses import make_pose
 from groundwalk.store import UserError
