@@ -7,7 +7,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="import",
-    version=32,
+    version=33,
     settings=ImportSettings,
     needs=(),
     run=Lazy("groundwalk.capture_import.stage:run"),

@@ -13,7 +13,7 @@ class ReportSettings(Settings):
 
 STAGE = Stage(
     name="report",
-    version=26,
+    version=27,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import",),

@@ -129,7 +129,8 @@ def _scale(subject: Subject, rows: Rows, scale: MapScale, recording: str, limit:
         return None
     of_recording = scale.recordings[recording]
     error = float(np.expm1(of_recording.log - scale.log))
-    reason = f"this session's VIO measures {abs(error):.1%} {'more' if error > 0 else 'less'} than the others'"
+    more = "more" if error > 0 else "less"
+    reason = f"this session's VIO measures {abs(error):.1%} {more} than all sessions' on average"
     failure = Failure(FailureCause.WRONG_VIO_SCALE, reason, rows, lowers_class=False)
     return evaluate(CheckName.SESSION_SCALE, subject, Quantity(abs(error), of_recording.sd), limit, failure)
 
