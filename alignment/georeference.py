@@ -159,12 +159,13 @@ def _heights_apart(residual: Array, sd: Array, walk: np.ndarray, names: Sequence
     table = pd.DataFrame({"off": residual, "sd": sd})[known].groupby(walk[known]).median()
     if len(table) < 2:
         return ""
-    high, low = int(table["off"].idxmax()), int(table["off"].idxmin())
-    apart_m = float(table["off"][high] - table["off"][low])
-    if apart_m <= _ALTITUDE_SIGMAS * np.hypot(table["sd"][high], table["sd"][low]):
+    at, off, sd_of = table.index.to_numpy(int), table["off"].to_numpy(float), table["sd"].to_numpy(float)
+    high, low = int(off.argmax()), int(off.argmin())
+    apart_m = off[high] - off[low]
+    if apart_m <= _ALTITUDE_SIGMAS * np.hypot(sd_of[high], sd_of[low]):
         return ""
     return (
-        f"all altitudes, as {names[low]} has them {apart_m:.0f} m lower than {names[high]}, "
+        f"all altitudes, as {names[at[low]]} has them {apart_m:.0f} m lower than {names[at[high]]}, "
         "by the map: is one above sea level, the other above the ellipsoid?"
     )
 

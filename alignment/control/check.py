@@ -282,7 +282,7 @@ def _fault(
     if similar is None or used.sum() < enough:
         return (
             f"only {int(used.sum())} of {count} points agree with the map within {points.settings.max_error_m:g} m, at "
-            "any scale: are the names those of the survey?"
+            "any scale: are the names those of the survey, and is it as good as max_error_m says?"
         )
     for unit, metres in _UNITS.items() if rigid else ():
         if abs(similar.scale * metres - 1) <= _UNIT_TOLERANCE:

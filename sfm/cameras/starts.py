@@ -46,8 +46,9 @@ _STARTS, _GUESS_SD = (0.75, 1.2), 0.2
 _MIN_IMAGES = 3
 # A stated focal length stays where, with it held, a camera loses a smaller share of its observations and their error
 # grows by a smaller share: 10 % off, photos of a courtyard lose 6 and 18 %, and are off by half as much again.
-# A model of a smaller share of the images denies nothing: one of 4 of 29 photos halved their focal length.
-_MAX_LOST, _MAX_EXCESS, _MIN_SHARE = 0.05, 0.1, 0.5
+_MAX_LOST, _MAX_EXCESS = 0.05, 0.1
+# Fewer images' lens is a phone's: a free one of four took up half of their focal length.
+_MIN_LENS_IMAGES = 10
 # k1 and k2 that are tried: none, phones' usual ones, a stronger one of theirs, and wide-angle lenses.
 _TRIED = np.array([(0.0, 0.0), PHONE_K1_K2, (0.16, -0.4), (-0.15, 0.03), (-0.28, 0.07)])
 # Another one is taken where the mean over pairs of their matches' robust cost becomes smaller by this and by so many
@@ -96,8 +97,6 @@ def estimate_focal_lengths(
         return {}
     # Flat ground from above, or a facade, tells hardly any focal length: what is stated stays unless images deny it.
     stated = _shared_cameras(frames, _STARTS[0])
-    if not is_guess and best.num_reg_images() < _MIN_SHARE * len(frames):
-        return {session_id: float(camera.mean_focal_length()) for session_id, camera in stated.items()}
     held = None if is_guess else _largest(work, stated, seed, is_held=True)
     free_fit, held_fit = _fits(best), _fits(held) if held is not None else {}
     found = {}
@@ -114,7 +113,8 @@ def estimate_focal_lengths(
 def _largest(
     work: Workspace, cameras: dict[str, pycolmap.Camera], seed: int, *, is_held: bool = False
 ) -> pycolmap.Reconstruction | None:
-    """The largest model that begins with these cameras, whose lenses are refined, and focal lengths unless held."""
+    """The largest model that begins with these cameras: lenses are refined where it has enough images, and focal
+    lengths unless held."""
     database, folder = work.scratch / "pairs.db", work.scratch / "models"
     with pycolmap.Database.open(database) as opened:
         for camera in cameras.values():

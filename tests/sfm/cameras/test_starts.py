@@ -18,17 +18,17 @@ BARREL = np.array([-0.15, 0.03, 0, 0, 0, 0, 0, 0])
 
 
 def photograph_ground(folder: Path, relief_m: float) -> list[str]:
-    """Eight photos from 10 m above ground that is flat, or rises in steps, by a lens that isn't a phone's."""
+    """Twelve photos from 10 m above ground that is flat, or rises in steps, by a lens that isn't a phone's."""
     rng = np.random.default_rng(0)
     ground = np.zeros((1800, 1800), np.uint8)
     for size in (225, 450, 900):
         noise = rng.integers(0, 80, (size, size)).astype(np.uint8)
-        ground += cv2.resize(noise, (1800, 1800), interpolation=cv2.INTER_CUBIC)
+        ground += np.asarray(cv2.resize(noise, (1800, 1800), interpolation=cv2.INTER_CUBIC), np.uint8)
     steps = relief_m * rng.random((6, 6))
     pixels = np.stack(np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5), axis=-1).reshape(-1, 2)
     ideal = undistort((pixels - [WIDTH / 2, HEIGHT / 2]) / FOCAL_PX, BARREL)
     names = []
-    for number in range(8):
+    for number in range(12):
         x, y = 6 + 2.0 * (number % 4), 6.5 + 2.0 * (number // 4)
         turn = Rotation.from_euler("zxy", [180 * (number // 4 % 2), *rng.normal(0, 2, 2)], degrees=True)
         ray = turn.apply(np.column_stack([ideal, np.ones(len(ideal))]))
