@@ -8,6 +8,7 @@ camera's that nobody states or one in another convention, bends the relative pos
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -79,9 +80,9 @@ def sample_unstated(frames: pd.DataFrame) -> Ints:
 
 def estimate_focal_lengths(
     report: Report, frames: pd.DataFrame, work: Workspace, settings: SfmSettings, seed: int
-) -> dict[str, float]:
+) -> tuple[dict[str, float], dict[str, list[float]]]:
     """The focal length in pixels of each session of these frames, by the largest model of them, or as stated where the
-    images don't deny that; of none where there is no model."""
+    images don't deny that, and k1 and k2 of those with enough images in it; of none where there is no model."""
     shutil.rmtree(work.scratch, ignore_errors=True)
     work.scratch.mkdir()
     database = work.scratch / "pairs.db"
@@ -91,29 +92,42 @@ def estimate_focal_lengths(
     # Of cameras without a prior by their fundamental matrices, whatever the focal length that they start from.
     match_pairs(report, database, np.stack(np.triu_indices(len(frames), 1), axis=1), seed)
     is_guess = bool((frames["focal_sd"] > _GUESS_SD).any())
-    models = [_largest(work, _shared_cameras(frames, start), seed) for start in _STARTS[: 2 if is_guess else 1]]
+    models = [_largest(frames, work, _shared_cameras(frames, start), seed) for start in _STARTS[: 2 if is_guess else 1]]
     best = max((model for model in models if model is not None), key=_size, default=None)
     if best is None or best.num_reg_images() < _MIN_IMAGES:
-        return {}
+        return {}, {}
     # Flat ground from above, or a facade, tells hardly any focal length: what is stated stays unless images deny it.
     stated = _shared_cameras(frames, _STARTS[0])
-    held = None if is_guess else _largest(work, stated, seed, is_held=True)
+    held = None if is_guess else _largest(frames, work, stated, seed, is_held=True)
     free_fit, held_fit = _fits(best), _fits(held) if held is not None else {}
-    found = {}
+    focal, k1_k2 = dict[str, float](), dict[str, list[float]]()
     for session_id, camera in stated.items():
         if (free := free_fit.get(camera.camera_id)) is None:
             continue
-        seen, error_px = held_fit.get(camera.camera_id, (0, 0.0))
-        stays = seen >= (1 - _MAX_LOST) * free[0] and error_px <= (1 + _MAX_EXCESS) * free[1]
-        used = camera if stays else best.camera(camera.camera_id)
-        found[session_id] = float(used.mean_focal_length())
-    return found
+        fit = held_fit.get(camera.camera_id)
+        stays = fit is not None and fit.seen >= (1 - _MAX_LOST) * free.seen
+        if held is not None and fit is not None and stays and fit.error_px <= (1 + _MAX_EXCESS) * free.error_px:
+            used, images = held.camera(camera.camera_id), fit.images
+        else:
+            used, images = best.camera(camera.camera_id), free.images
+        focal[session_id] = float(used.mean_focal_length())
+        if images >= _MIN_LENS_IMAGES and _are_many(frames):
+            k1_k2[session_id] = used.params[-2:].tolist()
+    return focal, k1_k2
+
+
+class _Fit(NamedTuple):
+    """Images and observations that a model has of a camera, and the mean reprojection error of their points, pixels."""
+
+    images: int
+    seen: int
+    error_px: float
 
 
 def _largest(
-    work: Workspace, cameras: dict[str, pycolmap.Camera], seed: int, *, is_held: bool = False
+    frames: pd.DataFrame, work: Workspace, cameras: dict[str, pycolmap.Camera], seed: int, *, is_held: bool = False
 ) -> pycolmap.Reconstruction | None:
-    """The largest model that begins with these cameras: lenses are refined where it has enough images, and focal
+    """The largest model that begins with these cameras: lenses are refined where each has enough images, and focal
     lengths unless held."""
     database, folder = work.scratch / "pairs.db", work.scratch / "models"
     with pycolmap.Database.open(database) as opened:
@@ -128,19 +142,27 @@ def _largest(
     return max(pycolmap.incremental_mapping(database, work.images, folder, options).values(), key=_size, default=None)
 
 
+def _are_many(frames: pd.DataFrame) -> bool:
+    return bool(frames["session_id"].value_counts().min() >= _MIN_LENS_IMAGES)
+
+
 def _size(model: pycolmap.Reconstruction) -> tuple[int, int]:
     return model.num_reg_images(), model.compute_num_observations()
 
 
-def _fits(model: pycolmap.Reconstruction) -> dict[int, tuple[int, float]]:
-    """How many observations a model has of each camera, and the mean reprojection error, in pixels, of their points."""
+def _fits(model: pycolmap.Reconstruction) -> dict[int, _Fit]:
+    """By camera."""
     model.update_point_3d_errors()
-    errors: dict[int, list[float]] = {}
+    errors: dict[int, list[list[float]]] = {}
     for image in model.images.values():
         if image.has_pose:
-            seen = (model.point3D(point.point3D_id).error for point in image.points2D if point.has_point3D())
-            errors.setdefault(image.camera_id, []).extend(seen)
-    return {camera: (len(of_camera), float(np.mean(of_camera))) for camera, of_camera in errors.items() if of_camera}
+            seen = [model.point3D(point.point3D_id).error for point in image.points2D if point.has_point3D()]
+            errors.setdefault(image.camera_id, []).append(seen)
+    return {
+        camera: _Fit(len(images), sum(map(len, images)), float(np.mean(np.concatenate(images))))
+        for camera, images in errors.items()
+        if any(images)
+    }
 
 
 def _turn_alike(database: Path, frames: pd.DataFrame) -> None:

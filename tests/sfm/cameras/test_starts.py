@@ -51,7 +51,8 @@ def test_what_is_stated_stays_unless_images_deny_it(relief_m: float, stated: flo
     frame = {"session_id": "s", "width": WIDTH, "height": HEIGHT, "focal_sd": 0.05}
     frames = pd.DataFrame([frame] * len(names)).assign(fx=stated * FOCAL_PX, fy=stated * FOCAL_PX, cx=240.0, cy=180.0)
     work = Workspace(tmp_path, names, tmp_path / "scratch", {})
-    found = estimate_focal_lengths(lambda done, note="": None, frames, work, SfmSettings(), 0)
+    found, k1_k2 = estimate_focal_lengths(lambda done, note="": None, frames, work, SfmSettings(), 0)
+    assert k1_k2["s"] == pytest.approx(BARREL[:2], abs=0.05)
     if relief_m:
         assert found["s"] == pytest.approx(FOCAL_PX, rel=0.05)
     else:
