@@ -7,7 +7,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="sfm",
-    version=61,
+    version=62,
     settings=SfmSettings,
     needs=("import",),
     run=Lazy("groundwalk.sfm.stage:run"),

@@ -136,10 +136,16 @@ def _largest(
             opened.update_camera(camera)
     options = pipeline_options(MappingInput(database, work.images, seed))
     options.ba_refine_focal_length = options.mapper.abs_pose_refine_focal_length = not is_held
-    options.ba_refine_extra_params = True
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    return max(pycolmap.incremental_mapping(database, work.images, folder, options).values(), key=_size, default=None)
+    largest = None
+    for refines_lens in (True, False) if _are_many(frames) else (False,):
+        options.ba_refine_extra_params = refines_lens
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        models = pycolmap.incremental_mapping(database, work.images, folder, options)
+        largest = max(models.values(), key=_size, default=None)
+        if largest is not None and largest.num_reg_images() >= _MIN_LENS_IMAGES:
+            break
+    return largest
 
 
 def _are_many(frames: pd.DataFrame) -> bool:
