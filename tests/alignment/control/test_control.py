@@ -379,6 +379,7 @@ def test_align_writes_tables_and_picture(data: DataRoot) -> None:
     # Without VIO it is the survey that makes the map metric and upright.
     rewrite(data, "Place", "import", "frames", without_vio(frames))
     execute(STAGE, "Place", "tiny", data, force=True)
+    assert not (data.run("tiny", "Place", "align") / "checks.png").exists()  # nothing to draw
     aligned = table_of(data, "Place", "align", "ground_truth")
     assert set(aligned["scale_source"].dropna()) == {"control: control"}
     assert set(aligned["vertical_source"].dropna()) == {"control points"}
