@@ -6,7 +6,7 @@ from groundwalk.store.registry import Lazy
 
 STAGE = Stage(
     name="align",
-    version=29,
+    version=30,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=Lazy("groundwalk.alignment.stage:run"),

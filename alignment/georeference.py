@@ -27,6 +27,8 @@ _MAX_YAW_DEG = _MAX_TILT_DEG = 10.0
 # Fixes of another place: further off, in standard errors and metres.
 _OUTLIER_SIGMAS = 5.0
 _MAX_SCALE_ERROR, _SCALE_SIGMAS = 0.1, 4.0
+# Altitudes of two recordings that are further apart, in standard errors, aren't above the same level.
+_ALTITUDE_SIGMAS = 2.5
 _SURVEY = "or name surveyed points in WGS84 (docs/how-to/control-points.md)"
 
 
@@ -89,28 +91,34 @@ def of_gps(
             f"{len(gps)} of {stated} positions can be used, {MIN_FIXES} are needed ({'; '.join(remarks)}): record "
             f"under the open sky, and begin once the phone states {_MAX_ACCURACY_M:.0f} m or better, {_SURVEY}"
         )
-    geodetic = gps[["latitude_deg", "longitude_deg", "altitude_m"]].to_numpy(float)
+    geodetic = gps[["latitude_deg", "longitude_deg", "altitude_m"]].to_numpy(float, copy=True)
     if len(np.unique(geodetic[:, :2], axis=0)) < MIN_FIXES:
         raise NoGeoreference(
             f"the phone repeated an old position {len(gps)} times: record again once it moves, {_SURVEY}"
         )
-    origin = _middle(geodetic)
-    enu = enu_of(origin, geodetic)
     horizontal = np.maximum(accuracy.to_numpy(float) / _RADIUS_OF_AXIS, _MIN_SD_M)
     vertical = gps["altitude_sd_m"].fillna(_VERTICAL_OF_RADIUS * accuracy).to_numpy(float)
     sd = np.column_stack([horizontal, horizontal, np.maximum(vertical, _MIN_SD_M)])
-    walk, names = pd.factorize(gps["recording"])
+    recording, names = pd.factorize(gps["recording"])
+    walk, seconds = recording.astype(np.int64), gps["t_ns"].to_numpy(float) * 1e-9
     vertical_sd = float(main.vertical.sd) if is_upright else None
-    if vertical_sd is None and np.isfinite(enu[:, 2]).sum() < MIN_FIXES:
-        raise NoGeoreference(
-            "the map's vertical isn't known, and positions without altitude don't tell it: record with a phone's VIO, "
-            f"which knows gravity, {_SURVEY}"
-        )
-    try:
-        seconds, walks = gps["t_ns"].to_numpy(float) * 1e-9, walk.astype(np.int64)
-        fit = fit_earth(enu, sd, xyz, seconds, walks, rigid=rigid, vertical_sd=vertical_sd)
-    except GeometryError as error:
-        raise NoGeoreference(f"{error}: walk further, {_SURVEY}") from None
+    while True:
+        origin = _middle(geodetic)
+        enu = enu_of(origin, geodetic)
+        if vertical_sd is None and np.isfinite(enu[:, 2]).sum() < MIN_FIXES:
+            raise NoGeoreference(
+                f"the map's vertical isn't known, and positions without altitude don't tell it{_left_out(remarks)}: "
+                f"record with a phone's VIO, which knows gravity, {_SURVEY}"
+            )
+        try:
+            fit = fit_earth(enu, sd, xyz, seconds, walk, rigid=rigid, vertical_sd=vertical_sd)
+        except GeometryError as error:
+            raise NoGeoreference(f"{error}: walk further, {_SURVEY}") from None
+        apart = _heights_apart(fit.residual[:, 2], sd[:, 2], walk, [str(name) for name in names])
+        if not apart:
+            break
+        remarks.append(apart)
+        geodetic[:, 2] = np.nan
     off_m = np.linalg.norm(fit.residual[:, :2], axis=1)
     is_off = off_m > _OUTLIER_SIGMAS * horizontal
     _refuse_another_place(is_off, fit.residual, walk, [str(name) for name in names])
@@ -138,6 +146,28 @@ def _with_scale(covariance: Array, scale: MapScale) -> Array:
     result = covariance.copy()
     result[6, 6] = covariance[6, 6] or scale.sd**2
     return result
+
+
+def _left_out(remarks: Sequence[str]) -> str:
+    return f" (left out: {', '.join(remarks)})" if remarks else ""
+
+
+def _heights_apart(residual: Array, sd: Array, walk: np.ndarray, names: Sequence[str]) -> str:
+    """Which recordings' altitudes (N,) differ by more than errors explain, as where one states them above the ellipsoid
+    and another above sea level; empty where none do."""
+    known = np.isfinite(residual)
+    table = pd.DataFrame({"off": residual, "sd": sd})[known].groupby(walk[known]).median()
+    if len(table) < 2:
+        return ""
+    at, off, sd_of = table.index.to_numpy(int), table["off"].to_numpy(float), table["sd"].to_numpy(float)
+    high, low = int(off.argmax()), int(off.argmin())
+    apart_m = off[high] - off[low]
+    if apart_m <= _ALTITUDE_SIGMAS * np.hypot(sd_of[high], sd_of[low]):
+        return ""
+    return (
+        f"all altitudes, as {names[at[low]]} has them {apart_m:.0f} m lower than {names[at[high]]}, "
+        "by the map: is one above sea level, the other above the ellipsoid?"
+    )
 
 
 def _middle(geodetic: Array) -> Origin:

@@ -29,7 +29,8 @@ def draw_checks(path: Path, checked: CheckedMap, reference: Reference | None, ti
     """One row a session, those with most excluded frames first: plan of both paths, residual curves with limits.
 
     VIO is fitted to SfM over the whole session, rigidly and robustly; the curves are the windows' residuals. Where a
-    reference gives the map, SfM's model is fitted to that as a whole, and the plan is what shows most of the path.
+    reference gives the map, SfM's model is fitted to that as a whole, and the plan is what shows most of the path. Of
+    images alone there is nothing to draw, and no file.
     """
     by_reference = reference if checked.reference_limit is not None else None
     segments = [
@@ -40,8 +41,10 @@ def draw_checks(path: Path, checked: CheckedMap, reference: Reference | None, ti
     ]
     segments.sort(key=lambda pair: (-np.mean(checked.frames.exclusion[pair[1].rows] != ""), pair[1].session_id))
     drawn = segments[:_MAX_SESSIONS]
-    figure = Figure(figsize=(4 * _INCHES, _INCHES * max(len(drawn), 1) + 0.6), layout="constrained")
-    axes = figure.subplots(max(len(drawn), 1), 3, squeeze=False, width_ratios=[1.3, 1, 1])
+    if not drawn:
+        return
+    figure = Figure(figsize=(4 * _INCHES, _INCHES * len(drawn) + 0.6), layout="constrained")
+    axes = figure.subplots(len(drawn), 3, squeeze=False, width_ratios=[1.3, 1, 1])
     for (plan, metres, degrees), (component, segment) in zip(axes, drawn, strict=False):
         if by_reference is not None:
             _draw_against_reference((plan, metres, degrees), checked, by_reference, component, segment)

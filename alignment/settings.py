@@ -107,7 +107,7 @@ class AprilTagRuler(RulerSettings):
 class PointObservation(Settings):
     """Where a frame sees a point."""
 
-    frame: str = Field(description="frame_id of import.frames: <session>/<six digits>")
+    frame: str = Field(description="frame_id of import.frames, <session>/<six digits>, or its image's file name")
     xy: tuple[float, float] = Field(description="pixels; the centre of the top-left pixel is (0.5, 0.5)")
 
 
@@ -199,11 +199,11 @@ class ControlSettings(Settings):
     name: str = Field("control", description="name of the survey in tables and messages")
     points: str = Field(
         min_length=1,
-        description="CSV file with columns point, x_m, y_m, z_m and, where they differ, sd_m; relative to the data "
-        "folder",
+        description="CSV file with columns point, x_m, y_m, z_m and, where they differ, sd_m; or, without `images` and "
+        "`dictionary`, a GCP list (.txt) as OpenDroneMap reads it; relative to the data folder",
     )
     images: str = Field(
-        "", description="CSV file with columns frame, point, x_px, y_px; relative to the data folder; empty: tags alone"
+        "", description="CSV file with columns frame, point, x_px, y_px; relative to the data folder; empty: none"
     )
     dictionary: Dictionary | None = Field(
         None,
@@ -225,10 +225,18 @@ class ControlSettings(Settings):
         0.05, gt=0, description="the check fails where held-out points are further off, RMS, or one of them is, metres"
     )
 
+    @property
+    def in_one_file(self) -> bool:
+        """Whether `points` is a GCP list, which has points and pixels."""
+        return not self.images and self.dictionary is None
+
     @model_validator(mode="after")
     def _consistent(self) -> "ControlSettings":
-        if not self.images and self.dictionary is None:
-            raise ValueError("nothing says where images show the points: name `images`, `dictionary` or both")
+        if self.in_one_file and not self.points.lower().endswith(".txt"):
+            raise ValueError(
+                "nothing says where images show the points: name `images`, `dictionary` or both, or as `points` a GCP "
+                "list (.txt)"
+            )
         if self.origin is not None and (abs(self.origin[0]) > 90 or abs(self.origin[1]) > 180 or self.up != "z"):
             raise ValueError('an origin is latitude, longitude and altitude of axes east, north, up (up = "z")')
         return self

@@ -64,7 +64,8 @@ def run(r: AlignRun) -> None:
         error = held.refusal_of_added(checked, frames, r.settings, before)
     if error is not None:
         r.write("checks", checks_table(checked.checks))
-        error.details["do"] = f"look at {r.work / CHECKS_PLOT}; {error.details['do']}"
+        if (r.work / CHECKS_PLOT).is_file():
+            error.details["do"] = f"look at {r.work / CHECKS_PLOT}; {error.details['do']}"
         raise error
     with r.step("depth"):
         checked = replace(checked, checks=[*checked.checks, *_check_by_depth(r, frames, images, checked)])

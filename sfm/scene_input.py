@@ -31,7 +31,7 @@ from groundwalk.sfm.pairs.selection import pairs_within_sessions
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.store import StageRun, UserError
 from groundwalk.store.child import Task
-from groundwalk.store.choices import UNTRACKED
+from groundwalk.store.choices import UNTRACKED, CameraOrigin
 from groundwalk.store.files import write_json, written_aside
 from groundwalk.store.hints import run_command
 from groundwalk.store.manifests import BLURRED, FEATURES
@@ -39,6 +39,7 @@ from groundwalk.store.schemas import schema
 from groundwalk.store.tables import poses_of, read_table
 
 _MIN_FRAMES = 3
+_LENSES = "estimated_lenses.json"
 # Import blurs a fifth more on each side of a box; where that ends is an edge that moves with whoever is behind it.
 _BLURRED_MORE = 0.3
 _STATED_SIGMAS = 3.0  # beyond which the focal length that EXIF states is told to be wrong
@@ -91,7 +92,9 @@ def with_focal_lengths(r: StageRun[SfmSettings], frames: pd.DataFrame, work: Wor
             of_some = replace(work, names=[work.names[row] for row in rows], scratch=work.scratch / "focal_lengths")
             arguments = (some, of_some, r.settings, r.seed)
             count = len(rows) * (len(rows) - 1) // 2
-            write_json(path, work.in_child("estimating focal lengths", Task(estimate_focal_lengths, arguments, count)))
+            focal_px, k1_k2 = work.in_child("estimating focal lengths", Task(estimate_focal_lengths, arguments, count))
+            write_json(work.scratch / _LENSES, k1_k2)
+            write_json(path, focal_px)
     found: dict[str, float] = json.loads(path.read_text())
     for session_id in frames.loc[frames["focal_sd"] >= ESTIMATED_SD, "session_id"].unique():
         of_session = frames["session_id"] == session_id
@@ -177,6 +180,12 @@ def with_start_lenses(
             arguments = (database, cameras.lenses, unique_pairs(pairs), r.seed)
             write_json(path, work.in_child("trying lenses", Task(start_lenses, arguments)))
     starts = [np.array(start) for start in json.loads(path.read_text())]
+    # Thirty images together tell a lens better than their pairs, which of flat ground tell none.
+    estimated = work.scratch / _LENSES
+    for session_id, k1_k2 in (json.loads(estimated.read_text()) if estimated.is_file() else {}).items():
+        lens = cameras.lenses.lens[np.argmax(frames["session_id"] == session_id)]
+        if cameras.lenses.priors[lens].origin != CameraOrigin.STATED:
+            starts[lens] = np.r_[k1_k2, np.zeros(6)]
     priors = zip(cameras.lenses.priors, starts, strict=True)
     return cameras.with_priors({number: started(*one) for number, one in enumerate(priors)})
 

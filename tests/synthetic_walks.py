@@ -168,6 +168,7 @@ def _make(w: Walks) -> Scene:
             {
                 "frame_id": [f"{name}/{i:06d}" for i in range(w.frames)],
                 "session_id": name,
+                "image": [f"{name}/{i:06d}.jpg" for i in range(w.frames)],
                 "split": "test" if number == w.sessions - 1 else "train",
                 "t_ns": 10**12 * (number + 1) + 10**9 * np.arange(w.frames),
                 "tracking": "normal",

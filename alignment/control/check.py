@@ -121,8 +121,10 @@ def check_control(
     if rigid or usable_points.sum() >= _MIN_AGREEING:
         similar = None if rigid else _agreeing(points, points.xyz_m, mapped, usable_points)[0]
         unit = similar.scale if similar is not None else 1.0
-        certain = unit**2 * np.trace(mapped.covariance, axis1=1, axis2=2) <= limit**2
-        usable_points = np.asarray(usable_points & certain)
+        sd_m = unit * np.sqrt(np.trace(mapped.covariance, axis1=1, axis2=2))
+        for index in np.flatnonzero(usable_points & (sd_m > limit)).tolist():
+            mapped.remarks.setdefault(index, f"the map has it to ± {sd_m[index]:.2g} m, worse than the limit")
+        usable_points = np.asarray(usable_points & (sd_m <= limit))
     seen = int(usable_points.sum())
     subject = Subject(len(np.unique(points.row)), component=main.index)
     unknown = (float("nan"), float("nan"))
@@ -217,7 +219,8 @@ def _mapped(
     observations.cam_T_row[:, :3, 3] *= unit[points.row, None]
     seen = usable[points.row] & np.isfinite(map_T_cam[points.row, 0, 0]) & np.isfinite(observations.xy).all(axis=1)
     used, count = observations.where(seen), len(points.names)
-    min_sd = points.settings.pixel_sd if points.settings.images else _DETECTION_SD_PX
+    is_read_off = points.settings.images or points.settings.in_one_file
+    min_sd = points.settings.pixel_sd if is_read_off else _DETECTION_SD_PX
     xyz, of_point, inlier = triangulate_points(used, map_T_cam, covariance, count, min_pixel_sd=min_sd)
     seen_by, kept = (np.bincount(corner, minlength=count) for corner in (used.corner, used.corner[inlier]))
     remarks = dict(points.remarks)
@@ -276,7 +279,7 @@ def _fault(
     if similar is None or used.sum() < enough:
         return (
             f"only {int(used.sum())} of {count} points agree with the map within {points.settings.max_error_m:g} m, at "
-            "any scale: are the names those of the survey?"
+            "any scale: are the names those of the survey, and is it as good as max_error_m says?"
         )
     for unit, metres in _UNITS.items() if rigid else ():
         if abs(similar.scale * metres - 1) <= _UNIT_TOLERANCE:

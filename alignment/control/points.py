@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.alignment.rulers.detection import Grey, markers_in, rows_read_off
+from groundwalk.alignment.control.gcp_list import read_gcp_list
+from groundwalk.alignment.rulers.detection import Grey, markers_in, rows_named, rows_read_off
 from groundwalk.alignment.settings import ControlSettings
 from groundwalk.geometry.cameras import CENTRE_OF_FIRST_PIXEL
 from groundwalk.geometry.earth import Origin, enu_of
@@ -50,7 +51,11 @@ def find_points(
     Raises UserError for files that aren't such tables, a point listed twice, a pixel outside of its image, and names of
     frames or points that there aren't.
     """
-    survey = _read(folder / settings.points, ["point"], _LOCAL, _WGS84)
+    in_list = None
+    if settings.in_one_file:
+        survey, in_list = read_gcp_list(folder / settings.points)
+    else:
+        survey = _read(folder / settings.points, ["point"], _LOCAL, _WGS84)
     _refuse_repeated(survey, ["point"], folder / settings.points)
     sd_m = survey["sd_m"].fillna(settings.sd_m) if "sd_m" in survey else pd.Series(settings.sd_m, survey.index)
     if not (sd_m > 0).all():
@@ -58,6 +63,8 @@ def find_points(
     xyz_m, origin = _coordinates(survey, settings, folder / settings.points)
     names = survey["point"].tolist()
     seen, remarks = list[tuple[int, int, float, float]](), dict[int, str]()
+    if in_list is not None:
+        seen += _of_list(in_list, names, frames, folder / settings.points, remarks)
     if settings.images:
         seen += _of_file(folder / settings.images, names, frames)
     if settings.dictionary is not None:
@@ -117,6 +124,19 @@ def _of_file(path: Path, names: list[str], frames: pd.DataFrame) -> list[tuple[i
         )
     row, xy = rows_read_off(table, frames, path), table[["x_px", "y_px"]].to_numpy(float)
     return list(zip(row.tolist(), point.tolist(), *xy.T.tolist(), strict=True))
+
+
+def _of_list(
+    table: pd.DataFrame, names: list[str], frames: pd.DataFrame, path: Path, remarks: dict[int, str]
+) -> list[tuple[int, int, float, float]]:
+    """As `_of_file`, of a GCP list, which may name images that aren't used: `remarks` then say so by point."""
+    there = rows_named(table["frame"], frames) >= 0
+    point = pd.Index(names).get_indexer(pd.Index(table["point"]))
+    for index, lost in table[~there].groupby(point[~there]):
+        remarks[int(str(index))] = f"{len(lost)} of its images aren't among the frames, such as {lost['frame'].iloc[0]}"
+    used = table[there] if there.any() else table
+    row, xy = rows_read_off(used, frames, path), used[["x_px", "y_px"]].to_numpy(float)
+    return list(zip(row.tolist(), point[there].tolist(), *xy.T.tolist(), strict=True))
 
 
 def _tags(dictionary: str, paths: list[Path]) -> Iterator[dict[int, list[Array]]]:

@@ -84,17 +84,28 @@ def _read_off(ruler: DistanceRuler, frames: pd.DataFrame) -> RulerDetections:
     return RulerDetections(ruler, corners, np.zeros(2, dtype=bool), row, seen["corner"].to_numpy(), xy_px)
 
 
+def rows_named(names: "pd.Series[str]", frames: pd.DataFrame) -> NDArray[np.int64]:
+    """Rows of the frames table that people name: by frame_id, or by the name of the image's file, in any case, where
+    one frame alone has it; -1 where none has."""
+    file = frames["image"].str.rsplit("/", n=1).str[-1].str.lower()
+    rows = pd.Series(np.arange(len(frames)), index=file)[~file.duplicated(keep=False).to_numpy()]
+    by_id = pd.Index(frames["frame_id"]).get_indexer(pd.Index(names))
+    by_file = rows.reindex(names.str.lower(), fill_value=-1).to_numpy()
+    return np.where(by_id >= 0, by_id, by_file).astype(np.int64)
+
+
 def rows_read_off(seen: pd.DataFrame, frames: pd.DataFrame, where: object) -> NDArray[np.int64]:
     """Rows of the frames table in which a person has read off points, whose `frame`, `point`, `x_px` and `y_px` the
     table `seen` has; `where` they are written. UserError for a frame that doesn't exist, or a pixel outside of it."""
-    row = pd.Index(frames["frame_id"]).get_indexer(pd.Index(seen["frame"])).astype(np.int64)
+    row = rows_named(seen["frame"], frames)
     if (row < 0).any():
         line = seen.iloc[int(np.argmin(row))]
         raise UserError(
             f"point {line['point']!r} is seen in a frame that doesn't exist",
             where=where,
             found=line["frame"],
-            expected=f"a frame_id of import.frames, such as {frames['frame_id'].iloc[0]}",
+            expected=f"a frame_id of import.frames, such as {frames['frame_id'].iloc[0]}, or its image's file, such as "
+            f"{Path(frames['image'].iloc[0]).name}",
             do="name a frame of import.frames; sampling drops images",
         )
     xy, size = seen[["x_px", "y_px"]].to_numpy(float), frames[["width", "height"]].to_numpy(float)[row]

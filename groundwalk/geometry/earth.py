@@ -39,6 +39,22 @@ def geodetic_of(origin: Origin, enu: Array) -> Array:
     return np.stack(pymap3d.enu2geodetic(*enu.T, *origin), axis=1)
 
 
+def geodetic_of_utm(xy: Array, zone: int, *, south: bool) -> Array:
+    """Latitudes and longitudes (N, 2), degrees, in WGS84 of eastings and northings (N, 2) in a zone of UTM: Krüger's
+    series to the third order, to about a millimetre within the zone."""
+    f = 1 / 298.257223563
+    n = f / (2 - f)
+    radius = 0.9996 * 6378137.0 / (1 + n) * (1 + n**2 / 4 + n**4 / 64)
+    at = ((xy[:, 1] - (1e7 if south else 0.0)) + 1j * (xy[:, 0] - 5e5)) / radius
+    of_sphere = [n / 2 - 2 * n**2 / 3 + 37 * n**3 / 96, n**2 / 48 + n**3 / 15, 17 * n**3 / 480]
+    at = at - sum(c * np.sin(2 * j * at) for j, c in enumerate(of_sphere, 1))
+    conformal = np.arcsin(np.sin(at.real) / np.cosh(at.imag))
+    of_latitude = [2 * n - 2 * n**2 / 3 - 2 * n**3, 7 * n**2 / 3 - 8 * n**3 / 5, 56 * n**3 / 15]
+    latitude = conformal + sum(c * np.sin(2 * j * conformal) for j, c in enumerate(of_latitude, 1))
+    longitude = np.radians(6 * zone - 183) + np.arctan2(np.sinh(at.imag), np.cos(at.real))
+    return np.degrees(np.column_stack([latitude, longitude]))
+
+
 @dataclass(frozen=True)
 class EarthFit:
     """`enu_S_map`; the covariance (7, 7) of its rotation about east, north, up, its translation at `middle` (3,) of the

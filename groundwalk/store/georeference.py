@@ -13,6 +13,7 @@ from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.store.files import read_json, write_json
 
 FILE = "georeference.json"
+_ALTITUDE = {True: "as stated: phones' is above sea level", False: "as the survey states it"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +76,7 @@ class Georeference:
         content = {
             "source": self.source,
             "origin": {"latitude_deg": latitude, "longitude_deg": longitude, "altitude_m": altitude},
-            "altitude": "as stated: phones' is above sea level" if self.has_altitude else "unknown",
+            "altitude": _ALTITUDE[self.source == "gps"] if self.has_altitude else "unknown",
             "enu_T_map": make_pose(self.enu_S_map.rotation, self.enu_S_map.translation).tolist(),
             "scale": self.enu_S_map.scale,
             "gives_scale": self.gives_scale,

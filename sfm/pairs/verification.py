@@ -167,7 +167,7 @@ def contradicted_pairs(
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     done = itertools.count(1)
-    models = incremental_mapping(source, folder, lambda: report(next(done)))
+    models = incremental_mapping(source, folder, lambda: report(min(next(done), len(order_N))))
 
     model_N, way_N = np.full(len(order_N), -1), np.zeros(len(order_N))
     centre_N3, points_NK3 = np.full((len(order_N), 3), np.nan), [np.empty((0, 3))] * len(order_N)

@@ -1,6 +1,7 @@
 """Where on earth a map is, by positions that phones state: within its bounds, or refused with figures."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -152,6 +153,19 @@ def test_a_walk_of_another_place_among_three_and_rough_positions_are_left_out(wa
     found, _ = placed_by(scene, gps)
     assert found.used == 110 and found.rms_m < 10
     assert "10 of an accuracy of 65 m or worse" in found.describe() and "60 that are up to 398 km" in found.describe()
+
+
+def test_altitudes_above_the_ellipsoid_and_above_sea_level_are_not_averaged(walks: Walks) -> None:
+    """Of three phones, one of which states them 47 m higher: the height is unknown, and the reason is told."""
+    scene = walks.make(seed=5)
+    gps = fixes(scene, 5)
+    gps.loc[gps["recording"] == "walk1", "altitude_m"] += 47
+    found, xyz = placed_by(scene, gps)
+    assert not found.has_altitude and np.isnan(found.places(xyz)[2][:, 2]).all()
+    assert re.search(r"left out: all altitudes, as walk[02] has them [3-7]\d m lower than walk1", found.describe())
+    with pytest.raises(NoGeoreference, match=r"don't tell it \(left out: all altitudes"):
+        placed_by(scene, gps, upright=False)
+    assert placed_by(scene, fixes(scene, 5))[0].has_altitude
 
 
 def test_align_places_a_map_whose_import_kept_positions(data: DataRoot, capsys: pytest.CaptureFixture[str]) -> None:

@@ -150,6 +150,8 @@ def test_a_survey_in_wgs84_places_the_map_on_earth(place: tuple[Scene, Array], t
         assert placed.used == 12 and placed.rms_m < 0.02 and not placed.gives_scale
         found.append(placed.places(again.mapped.xyz)[2])
     assert of_surveys([check], checked.placed) is None
+    placed.write(tmp_path / "georeference.json")
+    assert "as the survey states it" in (tmp_path / "georeference.json").read_text()
     np.testing.assert_allclose(found[0], found[1], atol=1e-6)
     np.testing.assert_allclose(found[0], earth, atol=0.03)
     np.testing.assert_allclose(found[0][:, :2], earth.iloc[:, :2], atol=3e-7)
@@ -198,6 +200,16 @@ def test_a_survey_gives_a_map_of_images_alone_scale_and_vertical(place: tuple[Sc
     assert again.sets_scale and again.used.all() and again.held_out.all() and again.result.status == "passed"
     assert "sets the map's scale ±" in describe(again) and "tilt" not in describe(again)
     np.testing.assert_allclose(again.error_m, check.error_m, atol=1e-6)
+
+
+def test_points_that_the_map_knows_less_well_than_the_limit_are_told(
+    place: tuple[Scene, Array], tmp_path: Path
+) -> None:
+    judged(*place, tmp_path)
+    checked = check_models(place[0].inputs(), AlignSettings())
+    check = checked_in(place[0], checked, points_of(place[0], tmp_path, max_error_m=1e-3))
+    assert check.result.status == "undecided" and "0 of 12 points are seen well enough" in check.result.reason
+    assert points_table([check])["reason"].str.contains("worse than the limit").all()
 
 
 def one_wrong(enu: Array) -> Array:
@@ -300,6 +312,50 @@ def test_files_that_are_wrong_are_refused(
         points_of(place[0], tmp_path)
 
 
+GCP_LIST = """WGS84 UTM 54N
+494399.2 4232697.1 5 4.5 99.5 PHOTO.JPG north
+494400.2\t4232695.9\t6\t700.5\t800.5\tphoto.jpg
+# a remark
+494399.2 4232697.1 5 1 2 gone.jpg north
+"""
+
+
+def test_a_gcp_list_of_opendronemap_is_read_as_it_is(place: tuple[Scene, Array], tmp_path: Path) -> None:
+    """Points by name or coordinates, images by the names of their files; metres are those of earth, not of the grid,
+    whose axes are longer or shorter by up to 0.04 %. The place is pyproj's."""
+    (tmp_path / "gcp_list.txt").write_text(GCP_LIST)
+    scene = replace(
+        place[0], frames=place[0].frames.assign(image=[f"walk/{i}.jpg" for i in range(len(place[0].frames))])
+    )
+    scene.frames.loc[3, "image"] = "walk/photo.jpg"
+    points = points_of(scene, tmp_path, points="gcp_list.txt", images="")
+    assert points.names == ["north", "494400.2 4232695.9 6"] and points.row.tolist() == [3, 3]
+    assert points.xy_px.tolist() == [[5, 100], [701, 801]]
+    assert points.remarks == {0: "1 of its images aren't among the frames, such as gone.jpg"}
+    place_of_first = geodetic_of(there(points.origin), points.xyz_m)[0]
+    np.testing.assert_allclose(place_of_first, [38.242263044418, 140.935996501068, 5], atol=1e-8)
+    step = points.xyz_m[1] - points.xyz_m[0]
+    np.testing.assert_allclose(step, np.array([1.0, -1.2, 1.0]) / [0.9996, 0.9996, 1], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("EPSG:2180\n1 2 3 4 5 6.jpg\n", "coordinates that aren't known here"),
+        ("+proj=utm +zone=33 +datum=WGS84 +units=us-ft\n1 2 3 4 5 6.jpg\n", "coordinates that aren't known here"),
+        ("metres\n1 2 nan 4 5 6.jpg\n", "isn't a point with its height"),
+        ("metres\n1 2 3 4 5\n", "line 2"),
+        ("metres\n1 2 3 4 5 6.jpg a\n1 2 4 4 5 7.jpg a\n", "other coordinates than a line above"),
+        ("metres\n1 2 3 4 5 6.jpg a\n", "a frame that doesn't exist"),
+        ("metres\n", "no points"),
+    ],
+)
+def test_a_gcp_list_that_is_wrong_is_refused(text: str, what: str, place: tuple[Scene, Array], tmp_path: Path) -> None:
+    (tmp_path / "gcp_list.txt").write_text(text)
+    with pytest.raises(UserError, match=what):
+        points_of(place[0], tmp_path, points="gcp_list.txt", images="")
+
+
 def test_align_writes_tables_and_picture(data: DataRoot) -> None:
     """A scene's file names a survey of what all frames of a walk see; align says where it lies, with a check."""
     truth = read_table(data.captures("Place") / "true_poses.parquet", schema("simulate", "true_poses"))
@@ -323,6 +379,7 @@ def test_align_writes_tables_and_picture(data: DataRoot) -> None:
     # Without VIO it is the survey that makes the map metric and upright.
     rewrite(data, "Place", "import", "frames", without_vio(frames))
     execute(STAGE, "Place", "tiny", data, force=True)
+    assert not (data.run("tiny", "Place", "align") / "checks.png").exists()  # nothing to draw
     aligned = table_of(data, "Place", "align", "ground_truth")
     assert set(aligned["scale_source"].dropna()) == {"control: control"}
     assert set(aligned["vertical_source"].dropna()) == {"control points"}
