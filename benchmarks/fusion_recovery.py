@@ -111,7 +111,8 @@ RATES = sorted({trouble.rate for trouble in TROUBLES})
 
 @dataclass(frozen=True)
 class Course:
-    """A method's errors on a walk, infinite without a pose; where it says it's lost; where beyond 95 % bounds; (N,)."""
+    """A method's errors on a walk, infinite without a pose, where it says that it is lost, and where an error is beyond
+    its 95 % bounds; (N,) each."""
 
     position_m: Array
     rotation_deg: Array

@@ -93,7 +93,8 @@ def _seconds(capture: Capture) -> int:
 
 
 def _corridor(seed: int) -> SceneryPlan:
-    """A straight corridor of equal stretches: the same doors, pictures and floor again, but for one notice in each."""
+    """A straight corridor of equal stretches: the same doors, the same pictures, the same floor, again and again; one
+    notice in each is its own."""
     rng = np.random.default_rng([seed, 7])
     period = float(rng.uniform(4.0, 6.0))
 

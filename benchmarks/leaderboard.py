@@ -217,7 +217,8 @@ def ahead(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def ratios(rows: pd.DataFrame) -> pd.DataFrame:
-    """A row a group and method: geometric means of mean errors over the rule's, the worst ratio, others' means."""
+    """A row a group and method: geometric means over scenes and models of mean errors over the rule's, the worst such
+    ratio, and means of the other figures."""
     rule = rows[rows["method"] == RULE].set_index(KEY)[ERRORS]
     indexed = rows.set_index(KEY)
     ratio = indexed[ERRORS] / rule.reindex(indexed.index)

@@ -49,7 +49,8 @@ RESAMPLINGS = (
 
 
 def stability_of(name: str, capture: Path, settings: tuple[str, ...], folder: Path) -> pd.DataFrame:
-    """Run a capture's resamplings below `folder`, which is emptied: a row each, and if it agrees with the whole."""
+    """Run every resampling of a capture below `folder`, which is emptied: a row each, and whether its outcome agrees
+    with the whole's."""
     shutil.rmtree(folder, ignore_errors=True)
     rows = []
     for number, resampling in enumerate(RESAMPLINGS):

@@ -64,7 +64,8 @@ def _printed(c: Canvas) -> None:
 
 
 def _without_vio(folder: Path, rng: np.random.Generator) -> None:
-    """Turn the app's walk into images beside a COLMAP model of true poses whose camera is a guess: fx = fy, centred."""
+    """Turn the app's walk into images beside a COLMAP model of the true poses, whose camera is a guess: one focal
+    length, the centre of the image."""
     walk = folder / "walk-1"
     pictures = sorted(walk.glob("*.jpg"))
     of_picture = np.array([int(path.stem.removeprefix("frame_")) for path in pictures])

@@ -220,7 +220,8 @@ def _check_poses(
 
 
 def _keep_gps(r: StageRun[ImportSettings], sessions: Sequence[Session]) -> list[Session]:
-    """Write positions on earth, where the user wants them; the sessions, with rejects of unreadable positions."""
+    """Write the table of positions on earth, where the user asks for it; the sessions, with rows of such that can't be
+    read among the rejects."""
     if not r.settings.gps:
         return list(sessions)
     fixes, kept = dict[str, list[GpsFix]](), list[Session]()

@@ -34,7 +34,8 @@ _PAPER = "paper"  # the group of the paper's scenes
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a stage of all scenes takes; None if that isn't measured. `by`: the runs that say it, or what is missing."""
+    """What a stage of all scenes would take; None where that isn't measured. `by`: the runs that say it, or what is
+    missing."""
 
     profile: str
     stage: str

@@ -72,7 +72,8 @@ def _fit(survey: Array, sd_m: Array, xyz: Array, covariance: Array, used: Mask, 
 
 
 def similarity_jacobian(fit: Sim3, xyz: Array, middle: Array) -> tuple[Array, Array]:
-    """Derivatives (N, 3, 7) of fitted points by turn and shift about `middle` (3,) and log scale, and errors (N, 3)."""
+    """Derivatives (N, 3, 7) of fitted points by a turn and shift about `middle` (3,) and the log scale, and how far
+    (N, 3) the points are from it."""
     arm = fit.scale * (xyz - middle) @ fit.rotation.T
     identity = np.broadcast_to(np.eye(3), (len(arm), 3, 3))
     return np.concatenate([-skew(arm), identity, arm[:, :, None]], axis=2), arm
