@@ -22,9 +22,8 @@ from groundwalk.store import UserError
 from groundwalk.store.choices import QualityClass
 from groundwalk.store.cli import DataOption, ProfileOption
 from groundwalk.store.manifests import load_manifest
-from groundwalk.store.schemas import schema
 from groundwalk.store.settings import DataRoot
-from groundwalk.store.tables import poses_of, read_table
+from groundwalk.store.tables import poses_of, table_of
 from groundwalk.store.true_poses import true_poses_of
 
 
@@ -133,7 +132,7 @@ def check_truth(
 ) -> None:
     """Compare a simulated scene's ground truth with its true poses; exits with 1 where a target is missed."""
     root = DataRoot(data)
-    gt = read_table(root.run(profile, scene, "align") / "ground_truth.parquet", schema("align", "ground_truth"))
+    gt = table_of(root.run(profile, scene), "align", "ground_truth")
     figures = load_manifest(root.run(profile, scene, "align"))["figures"]
     if figures["scale_sd"] is None:
         found, do = "scale_source none in align's manifest", "simulate longer walks"

@@ -99,7 +99,8 @@ def of_gps(
     horizontal = np.maximum(accuracy.to_numpy(float) / _RADIUS_OF_AXIS, _MIN_SD_M)
     vertical = gps["altitude_sd_m"].fillna(_VERTICAL_OF_RADIUS * accuracy).to_numpy(float)
     sd = np.column_stack([horizontal, horizontal, np.maximum(vertical, _MIN_SD_M)])
-    recording, names = pd.factorize(gps["recording"])
+    recording, of_recording = pd.factorize(gps["recording"])
+    names = [str(name) for name in of_recording]
     walk, seconds = recording.astype(np.int64), gps["t_ns"].to_numpy(float) * 1e-9
     vertical_sd = float(main.vertical.sd) if is_upright else None
     while True:
@@ -114,14 +115,14 @@ def of_gps(
             fit = fit_earth(enu, sd, xyz, seconds, walk, rigid=rigid, vertical_sd=vertical_sd)
         except GeometryError as error:
             raise NoGeoreference(f"{error}: walk further, {_SURVEY}") from None
-        apart = _heights_apart(fit.residual[:, 2], sd[:, 2], walk, [str(name) for name in names])
+        apart = _heights_apart(fit.residual[:, 2], sd[:, 2], walk, names)
         if not apart:
             break
         remarks.append(apart)
         geodetic[:, 2] = np.nan
     off_m = np.linalg.norm(fit.residual[:, :2], axis=1)
     is_off = off_m > _OUTLIER_SIGMAS * horizontal
-    _refuse_another_place(is_off, fit.residual, walk, [str(name) for name in names])
+    _refuse_another_place(is_off, fit.residual, walk, names)
     _refuse_unsure(fit, xyz, sd, rigid=rigid)
     if is_off.any():
         remarks.append(f"{int(is_off.sum())} that are up to {_distance(off_m.max())} from where the others have them")

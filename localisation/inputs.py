@@ -17,8 +17,7 @@ from groundwalk.geometry.poses import Array
 from groundwalk.localisation.frames import Views, subset
 from groundwalk.localisation.prepared import Training
 from groundwalk.store.choices import QualityClass, Split
-from groundwalk.store.schemas import schema
-from groundwalk.store.tables import GUESS_SD, camera_of, dataset_frames, poses_of, read_table, with_gravity_of_map
+from groundwalk.store.tables import GUESS_SD, camera_of, dataset_frames, poses_of, table_of, with_gravity_of_map
 
 
 @dataclass(frozen=True)
@@ -35,9 +34,9 @@ class Inputs:
 
 def read_inputs(run: Path) -> Inputs:
     """From the folder of a scene's run, with the stages import, sfm and align finished."""
-    frames = read_table(run / "import" / "frames.parquet", schema("import", "frames"))
-    truth = read_table(run / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
-    images = read_table(run / "sfm" / "images.parquet", schema("sfm", "images"))
+    frames = table_of(run, "import", "frames")
+    truth = table_of(run, "align", "ground_truth")
+    images = table_of(run, "sfm", "images")
     truth = truth[(truth["quality"] != "none").to_numpy()]
     truth = truth[truth["frame_id"].isin(dataset_frames(frames)["frame_id"])]
     frames = with_gravity_of_map(frames, truth)
@@ -65,9 +64,9 @@ def with_found_focal(frames: pd.DataFrame, run: Path) -> pd.DataFrame:
     is_guess = (frames["focal_sd"] >= GUESS_SD).to_numpy()
     if not is_guess.any():
         return frames
-    sessions = read_table(run / "import" / "sessions.parquet", schema("import", "sessions"))
-    every = dataset_frames(read_table(run / "import" / "frames.parquet", schema("import", "frames")))
-    truth = read_table(run / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
+    sessions = table_of(run, "import", "sessions")
+    every = dataset_frames(table_of(run, "import", "frames"))
+    truth = table_of(run, "align", "ground_truth")
     truth = truth[((truth["split"] == Split.TRAIN) & (truth["quality"] != QualityClass.NONE)).to_numpy()]
     trained = every[["frame_id", "session_id", "width", "height"]].merge(truth[["frame_id", "fx", "fy"]], on="frame_id")
     device_of = dict(zip(sessions["session_id"], sessions["device"], strict=True))

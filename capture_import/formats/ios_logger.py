@@ -13,7 +13,7 @@ from pathlib import Path
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import GpsFix, Intrinsics, Limits, RawFrame, Recording, Reject, VideoFrame
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.media.video import check_join
+from groundwalk.capture_import.media.video import check_join, frame_times
 from groundwalk.store.choices import Clock
 
 
@@ -28,7 +28,7 @@ def read(path: Path, limits: Limits) -> Recording:
         return RawFrame(parsing.seconds_to_ns(time_s), image=image, intrinsics=Intrinsics(fx, fy, cx, cy))
 
     images, more = parsing.read_rows(rows, read_image)
-    notes = check_join(video, "Frames.txt", images, len(rows), limits)
+    notes = check_join(video, frame_times(video, limits), "Frames.txt", images, len(rows))
     frames = parsing.join_by_time(poses, images)
     gps = path / "GPS.txt"
     read_gps = partial(_read_gps, gps, limits) if gps.is_file() else None

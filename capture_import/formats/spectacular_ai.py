@@ -14,7 +14,7 @@ import numpy as np
 from groundwalk.capture_import import parsing
 from groundwalk.capture_import.capture import Limits, RawFrame, Recording, VideoFrame
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.media.video import check_join, is_video
+from groundwalk.capture_import.media.video import check_join, frame_times, is_video
 from groundwalk.geometry.poses import Array, inverse, rigidity_error
 from groundwalk.store.choices import Clock, Tracking
 
@@ -57,7 +57,7 @@ def read(path: Path, limits: Limits) -> Recording:
     elif video is not None and (path / "data.jsonl").is_file():
         lines = parsing.lines_of(path / "data.jsonl", limits, lambda line: '"frames"' in line)
         images, more = parsing.read_rows(lines, lambda i, line: _read_image(video, i, line))
-        notes += check_join(video, "data.jsonl", images, len(lines), limits)
+        notes += check_join(video, frame_times(video, limits), "data.jsonl", images, len(lines))
         rejects += more
     return Recording("Spectacular AI", Clock.BOOT, path, parsing.join_by_time(poses, images), rejects, notes=notes)
 

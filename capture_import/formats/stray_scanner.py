@@ -33,7 +33,8 @@ def read(path: Path, limits: Limits) -> Recording:
             found=f"no {', '.join(missing)}; its first line: {header[1][:80] or 'empty'}",
         )
     shared = None if set(_PER_FRAME) <= set(names) else _camera_matrix(path / "camera_matrix.csv")
-    hidden = int(len(frame_times(video, limits)) < len(rows))
+    video_ns = frame_times(video, limits)
+    hidden = int(len(video_ns) < len(rows))
 
     def read_row(_: int, line: str) -> RawFrame:
         row = dict(zip(names, next(csv.reader([line], skipinitialspace=True)), strict=False))
@@ -52,7 +53,7 @@ def read(path: Path, limits: Limits) -> Recording:
     notes = ["one camera matrix, the last frame's, stands for all frames"] if shared else []
     if hidden:
         notes.append("the video doesn't show the first row's frame, as the app writes it: row n has the frame before n")
-    notes += check_join(video, "odometry.csv", frames, len(rows) - hidden, limits)
+    notes += check_join(video, video_ns, "odometry.csv", frames, len(rows) - hidden)
     accelerations = parsing.core_motion(path / "imu.csv", limits)
     return Recording("iOS, Stray Scanner", Clock.BOOT, path, frames, rejects, accelerations=accelerations, notes=notes)
 

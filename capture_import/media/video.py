@@ -65,10 +65,10 @@ def first_frame(path: Path, limits: Limits) -> tuple[av.VideoFrame, int, bool]:
     return frame, quarters, frame.color_trc in (PQ, HLG)
 
 
-def check_join(path: Path, log: str, frames: Sequence[RawFrame], rows: int, limits: Limits) -> list[str]:
-    """A note where a video hasn't as many frames as its log has rows, to which they belong by number; `frames` are the
-    rows that can be read. UserError where more than the end is missing: their clocks then don't run together."""
-    video_ns = frame_times(path, limits)
+def check_join(path: Path, video_ns: NDArray[np.int64], log: str, frames: Sequence[RawFrame], rows: int) -> list[str]:
+    """A note where a video, with frames at the times `video_ns`, hasn't as many as its log has rows, to which they
+    belong by number; `frames` are the rows that can be read. UserError where more than the end is missing: their clocks
+    then don't run together."""
     if rows == len(video_ns) or not frames:
         return []
     refs = [(frame.t_ns, frame.image.index) for frame in frames if isinstance(frame.image, VideoFrame)]

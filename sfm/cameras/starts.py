@@ -104,14 +104,13 @@ def estimate_focal_lengths(
     for session_id, camera in stated.items():
         if (free := free_fit.get(camera.camera_id)) is None:
             continue
-        fit = held_fit.get(camera.camera_id)
-        stays = fit is not None and fit.seen >= (1 - _MAX_LOST) * free.seen
-        if held is not None and fit is not None and stays and fit.error_px <= (1 + _MAX_EXCESS) * free.error_px:
-            used, images = held.camera(camera.camera_id), fit.images
-        else:
-            used, images = best.camera(camera.camera_id), free.images
+        model, fit = held, held_fit.get(camera.camera_id)
+        least, most_px = (1 - _MAX_LOST) * free.seen, (1 + _MAX_EXCESS) * free.error_px
+        if model is None or fit is None or fit.seen < least or fit.error_px > most_px:
+            model, fit = best, free
+        used = model.camera(camera.camera_id)
         focal[session_id] = float(used.mean_focal_length())
-        if images >= _MIN_LENS_IMAGES and _are_many(frames):
+        if fit.images >= _MIN_LENS_IMAGES and _are_many(frames):
             k1_k2[session_id] = used.params[-2:].tolist()
     return focal, k1_k2
 
